@@ -88,6 +88,8 @@ class LaboratoryScene(NamedTuple):
     frames: MarkerFrames
     truth: Subject
     joints: Float[np.ndarray, "F J 3"]
+    #: a trial in which the person stands; None if there is none
+    static: MarkerFrames | None
 
 
 def make_person(seed: int, resolution: str = "medium") -> Person:
@@ -175,21 +177,23 @@ def place_markers(person: Person, labels: list[str], seed: int, resolution: str 
 def make_laboratory_scene(
     shared: Path, laboratory: str, seed: int, take: str, frames: int, static: bool = False, rate: float = 60.0
 ) -> LaboratoryScene:
-    """Simulate a take of one person in one laboratory, after a static pose of a second where asked for."""
+    """Simulate a take of one person in one laboratory, and a static trial of a second where asked for."""
     person = make_person(seed)
     truth = place_markers(person, LABORATORIES[laboratory], seed)
     motion, skeleton = cmu_motion(shared, take)
     motion = motion.slice(slice(None, None, round(motion.rate / rate))).slice(slice(frames))
     motion = jc.retarget(motion, skeleton, truth.skeleton)
     motion = jax.tree.map(lambda leaf: leaf.astype(truth.offsets.dtype), motion)
-    if static:
-        motion = _prepend_standing(motion, truth.skeleton, round(rate))
+    standing = round(rate) if static else 0
+    motion = _prepend_standing(motion, truth.skeleton, standing)
     rng = np.random.default_rng([seed, 3])
     shifts = soft_tissue(truth, motion, rng)
     places, joints = (np.array(x, float) for x in pose_all(truth, motion.poses, jnp.asarray(shifts)))
     places, seen, _ = corrupt_markers(places, NOISE, rng)
     dtype = truth.offsets.dtype
-    return LaboratoryScene(MarkerFrames(places.astype(dtype), seen, truth.labels, motion.rate), truth, joints)
+    both = MarkerFrames(places.astype(dtype), seen, truth.labels, motion.rate)
+    trial = both[slice(standing)] if static else None
+    return LaboratoryScene(both[slice(standing, None)], truth, joints[standing:], trial)
 
 
 def soft_tissue(truth: Subject, motion: jc.Motion, rng: np.random.Generator) -> Float[np.ndarray, "F M 3"]:

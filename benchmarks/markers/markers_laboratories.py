@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument(
         "--frames", type=int, default=300, help="number of frames of each take, at 60 a second"
     )
-    parser.add_argument("--static", action="store_true", help="begin each take with a second of standing")
+    parser.add_argument("--static", action="store_true", help="give a static trial: a second of standing")
     options = parser.parse_args()
     shared, seconds = shared_folder(), {}
     rows: dict[str, list[dict[str, float]]] = {laboratory: [] for laboratory in options.laboratories}
@@ -88,7 +88,7 @@ def main() -> None:
             take = TAKES[(build + number) % len(TAKES)]
             scene = make_laboratory_scene(shared, laboratory, build, take, options.frames, options.static)
             start = time.perf_counter()
-            fit = jc.markers.fit_human(scene.frames)
+            fit = jc.markers.fit_human(scene.frames, static=scene.static)
             taken = time.perf_counter() - start
             row = fit_errors(scene, fit)
             # each set has shapes of its own, and a process can hold only so many programs

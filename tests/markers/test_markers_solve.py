@@ -10,11 +10,17 @@ import numpy as np
 import pytest
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
+from jaxcap.body.pose import Motion
 from jaxcap.errors import InputError
 from jaxcap.io.markers.subject import load_subject, save_subject
-from jaxcap.markers.motion.inverse_kinematics import solve_markers
-from jaxcap.markers.motion.solve_frame import SearchCriteria
+from jaxcap.markers.motion.inverse_kinematics import (
+    marker_residuals_of_frames,
+    solve_doubtful_frames,
+    solve_markers,
+)
+from jaxcap.markers.motion.solve_frame import SearchCriteria, SolvedFrame
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
+from jaxcap.markers.motion.unexplained_bones import FAR, unexplained_bones
 from jaxcap.markers.subject import shift_markers
 from jaxcap.observe.markers import MarkerFrames
 from tests.markers_limb import moving, seen_by, truth
@@ -59,6 +65,35 @@ def test_gaps_and_swapped_labels(rng):
     assert zero.lost.tolist() == [frame == 25 for frame in range(40)] and "25" in zero.messages[0]
     np.testing.assert_array_equal(zero.motion.poses.rotations[25], zero.motion.poses.rotations[24])
     assert np.isnan(zero.residuals).sum() == (~seen).sum()
+
+
+def test_bones_that_no_pose_explains_are_named(rng):
+    """A tenth of the markers does not change the median; all of a bone's markers elsewhere leave it any rotation."""
+    frames = seen_by(SUBJECT, moving(rng), rng)
+    places, own = np.array(frames.positions), np.flatnonzero(np.asarray(SUBJECT.bones) == 4)
+    places[10:21, own] += 0.3 * rng.normal(size=(11, len(own), 3))
+    solved = solve_markers(SUBJECT, MarkerFrames(places, frames.visible, SUBJECT.labels, 100.0))
+    name = SUBJECT.skeleton.names[4]
+    assert not solved.lost.any() and len(solved.messages) == 1
+    assert f"the markers of {name} in 11 frames (10 to 20)" in solved.messages[0]
+
+
+def test_a_limb_in_a_wrong_minimum_is_solved_again(rng):
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng, noise=0.0)
+    positions, used = jnp.asarray(frames.positions), np.asarray(frames.visible)
+    own = np.asarray(SUBJECT.bones) == 4
+    starts = eqx.tree_at(
+        lambda p: p.rotations, motion.poses, motion.poses.rotations.at[12:15, 4].set([0, 1, 0, 0])
+    )
+    lengths = np.linalg.norm(marker_residuals_of_frames(SUBJECT, starts, positions), axis=2)
+    assert lengths[12:15][:, own].min() > FAR
+    weights = np.where(lengths > FAR, 0.0, 1.0)
+    wrong = SolvedFrame(starts, *(jnp.asarray(x) for x in (lengths, weights, np.ones(40), np.ones(40, int))))
+    assert unexplained_bones(SUBJECT, used, lengths).sum() == 3
+    mended = solve_doubtful_frames(SUBJECT, positions, used, used.any(1), wrong, None)
+    assert errors(Motion(mended.pose, 100.0), motion).max() < 1e-4
+    np.testing.assert_array_equal(mended.pose.rotations[:12], starts.rotations[:12])
 
 
 def test_order_of_markers_and_splitting_of_frames_change_nothing(rng):

@@ -224,7 +224,8 @@ class Fit:
             terms=self.terms(make_human_template(shown).subject),
         )
         print_person(fit)
-        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, fit.calibration.motion_messages)
+        further = [message for message in fit.calibration.motion_messages if message not in fit.messages]
+        notes = self.print_residuals(fit.subject, fit.residuals, fit.lost, further)
         self.write_results(fit.subject, fit.motion, fit.lost)
         if self.report is not None:
             extra = {"segments": bone_rows(fit), "traits": fit.traits._asdict()}

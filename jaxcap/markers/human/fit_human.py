@@ -19,6 +19,7 @@ from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
+from ..motion.unexplained_bones import describe_unexplained, unexplained_bones
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps, describe_exchanges
 from ..subject import Subject
@@ -155,6 +156,7 @@ def fit_human(
         known,
         found,
         (
+            *describe_unexplained(found.subject, _unexplained(found)),
             *describe_child(size, traits),
             *(describe_lengths(segment_lengths(found, subject.skeleton)) if is_adult(traits) else []),
             *describe_human(
@@ -164,6 +166,11 @@ def fit_human(
             *([f"{len(never)} markers are never visible: {', '.join(never[:10])}."] if never else []),
         ),
     )
+
+
+def _unexplained(found: Calibration) -> Bool[np.ndarray, "F J"]:
+    is_used = np.isfinite(found.residuals) & (np.asarray(found.subject.weights) > 0) & ~found.lost[:, None]
+    return unexplained_bones(found.subject, is_used, found.residuals)
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:

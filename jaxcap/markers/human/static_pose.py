@@ -13,6 +13,8 @@ from ..segments.rigid_motion import displacement
 
 #: largest displacement of a marker in a static trial, metres
 MAX_SWAY = 0.08
+#: share of its frames in which a marker of a static trial may have the label of another one
+EXCHANGED_SHARE = 0.1
 
 
 def standing_frame(static: MarkerFrames) -> MarkerFrames:
@@ -20,7 +22,7 @@ def standing_frame(static: MarkerFrames) -> MarkerFrames:
 
     **Raises:** `InputError` if a marker moves by more than a standing person sways.
     """
-    moved = displacement(static)
+    moved = displacement(static, EXCHANGED_SHARE)
     if moved > MAX_SWAY:
         raise InputError(
             f"A marker of the static trial moves by {moved:.2f} m; give a trial in which the person stands still, or the frames of one in "

@@ -14,12 +14,13 @@ from ...body.pose import Motion, Pose
 from ...energy.check_energies import UserTerms, check_finite_residuals, sum_user_terms
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
-from ...stacking import concatenate
+from ...stacking import concatenate, take_rows
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body
 from .initial_pose import estimate_initial_poses
 from .label_matching import match_markers
 from .solve_frame import SearchCriteria, SolvedFrame, solve_frame
+from .unexplained_bones import FAR, describe_unexplained, unexplained_bones
 
 _LOG = logging.getLogger(__name__)
 
@@ -78,7 +79,7 @@ def solve_markers(
         for frame in (0, len(positions) - 1):
             check_finite_residuals("solve_markers", energy, marker_body(subject), Motion(solved.pose)[frame])
     _LOG.info("solving poorly fitted frames again")
-    solved = _solve_doubtful_frames(subject, positions, used, enough, solved, energy)
+    solved = solve_doubtful_frames(subject, positions, used, enough, solved, energy)
     lost = (
         ~enough
         | ~np.isfinite(np.asarray(solved.residuals)).all(1)
@@ -86,7 +87,11 @@ def solve_markers(
     )
     lengths = np.linalg.norm(np.asarray(marker_residuals_of_frames(subject, solved.pose, positions)), axis=2)
     residuals = np.where(seen, lengths, np.nan)
-    messages = describe_solution(subject, frames, seen, lost)
+    unexplained = unexplained_bones(subject, used & ~lost[:, None], lengths)
+    messages = (
+        *describe_unexplained(subject, unexplained),
+        *describe_solution(subject, frames, seen, lost),
+    )
     weights = np.asarray(solved.weights) * ~lost[:, None]
     return MarkerSolution(Motion(solved.pose, frames.rate), residuals, weights, lost, messages)
 
@@ -151,11 +156,16 @@ def _solve_chunk(
     return jax.lax.scan(follow, far.pose, (positions, seen))[1]
 
 
-def _solve_doubtful_frames(
+def solve_doubtful_frames(
     subject: Subject, positions, used, enough, solved: SolvedFrame, energy
 ) -> SolvedFrame:
-    """Solve doubtful frames again from an initial guess, and keep the better of both solutions."""
-    doubtful = np.flatnonzero(enough & ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE))
+    """Solve doubtful frames again from an initial guess, and keep the better of both solutions: fewer markers are far off, or
+    all are nearer.
+    """
+    is_poor = ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE)
+    doubtful = np.flatnonzero(
+        enough & (is_poor | unexplained_bones(subject, used, np.asarray(solved.residuals)).any(1))
+    )
     if not len(doubtful):
         return solved
     size = 1 << (len(doubtful) - 1).bit_length()
@@ -164,9 +174,10 @@ def _solve_doubtful_frames(
     other = solve_each_frame(
         subject, starts, positions[padded], jnp.asarray(used[padded]), INITIAL_SEARCH, energy
     )
-    better = np.flatnonzero(
-        ~(np.asarray(solved.residual_scale)[doubtful] <= np.asarray(other.residual_scale)[: len(doubtful)])
-    )
+    some = take_rows(solved, doubtful), take_rows(other, slice(len(doubtful)))
+    far, other_far = ((used[doubtful] & (np.asarray(one.residuals) > FAR)).sum(1) for one in some)
+    scale, other_scale = (np.asarray(one.residual_scale) for one in some)
+    better = np.flatnonzero((other_far < far) | ((other_far == far) & ~(scale <= other_scale)))
     if not len(better):
         return solved
     return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)

@@ -63,13 +63,13 @@ def own_motion(ranges: Float[np.ndarray, "M M"], members: list[int], others: lis
     return float(np.min(farthest, initial=np.inf, where=known.any(0)))
 
 
-def displacement(frames: MarkerFrames) -> float:
-    """Measure the largest displacement of a marker along an axis, without its outer values, metres."""
+def displacement(frames: MarkerFrames, outer: float = 0.02) -> float:
+    """Measure the largest displacement of a marker along an axis, without a share of `outer` values at both ends, metres."""
     some = even_indices(len(frames), NUM_FRAMES, nearest=True)
     positions, seen = np.asarray(frames.positions, float)[some], np.asarray(frames.visible)[some]
     shown = seen.any(0)
     if not shown.any():
         return 0.0
     places = np.where(seen[..., None], positions, np.nan)[:, shown]
-    low, high = np.nanquantile(places, [0.02, 0.98], axis=0)
+    low, high = np.nanquantile(places, [outer, 1 - outer], axis=0)
     return float(np.max(high - low))
