@@ -169,6 +169,8 @@ def judge_frame(
         bare, _ = _compare(surface, baseline, pose, cloud, occluders, None)
         doubtful = jnp.minimum(bare.shares, DOUBTFUL_BY_CLOTHES * judgement.tolerance)
         judgement = eqx.tree_at(lambda j: j.shares, judgement, jnp.maximum(judgement.shares, doubtful))
+    # copied once, as verdicts read it often
+    judgement = jax.device_get(judgement)
     lost = judgement.verdict == "lost" or not is_finite(pose)
     teaches = not lost and (judgement.verdict == "good" or float(baseline.frames) == 0)
     renewed = renewed if teaches else mark_flagged(baseline)
