@@ -12,6 +12,7 @@ from jaxtyping import Array, Float
 
 from ..body.pose import Pose
 from ..observe.clouds import Cloud
+from .ahead import Ahead
 from .compare_poses import choose_likeliest, likelier_pose
 from .expectation_maximisation.pose_log_density import pose_log_density
 from .judge_frame import (
@@ -164,6 +165,7 @@ def follow_frame(
     margin: float = 0.0,
     judge: bool = True,
     occluders: Float[Array, "O 4"] | None = None,
+    ahead: Ahead | None = None,
 ) -> TrackedFrame:
     """Track and judge the frame after `frame`; `finish_frame` then determines the start of the one after it.
 
@@ -172,13 +174,15 @@ def follow_frame(
     trusted pose is not tried.
     """
     before = frame.state.estimate.pose
-    state, statistics = track_frame_jit(tracker, frame.state, cloud)
+    state, statistics = (track_frame_jit if ahead is None else ahead.track)(tracker, frame.state, cloud)
     # a lost frame may have led away from the correct pose
     others = [*([frame.trusted] if frame.lost and judge else []), *poses]
     if others:
         state, statistics = choose_likeliest(tracker, state, statistics, others, before, cloud, margin)
     if frame.lost:
         state = reset_velocity(tracker, state)
+    if ahead is not None:
+        ahead.begin(tracker, state, cloud)
     if not judge:
         return TrackedFrame(
             state.estimate.pose,
@@ -203,6 +207,7 @@ def advance_frame(
     candidates: Sequence[Pose] | None = None,
     margin: float = 0.0,
     occluders: Float[Array, "O 4"] | None = None,
+    ahead: Ahead | None = None,
 ) -> TrackedFrame:
     """Track a `cloud` from the `frame` before it: predict, fit and judge; where it is not good, catch up with a fast motion, and
     search.
@@ -213,7 +218,8 @@ def advance_frame(
     worn = frame.state.estimate.clothes
     tracker, surface = with_clothes(follower.tracker, worn), follower.surface
     before = frame
-    frame = follow_frame(tracker, surface, before, cloud, candidates or (), margin, occluders=occluders)
+    others = candidates or ()
+    frame = follow_frame(tracker, surface, before, cloud, others, margin, occluders=occluders, ahead=ahead)
     key = jax.random.key(number)
     if needs_search(frame):
         _LOG.info("fitting a few poses that frame %d may have after a fast motion", number)

@@ -21,6 +21,7 @@ from ..observe.floors_and_walls import without_room
 from ..observe.planes import Plane
 from ..value_checks import check_direction, check_rate
 from .advance import FirstSearch, Search, advance_frame, find_first_frame, make_follower
+from .ahead import Ahead
 from .check_cloud import check_cloud
 from .judge_frame import TrackedFrame
 from .missing import has_begun, missing_frame
@@ -96,7 +97,9 @@ def _track_frames(
     # where the first frame with a person starts
     pose = rest_pose(tracker.body.skeleton) if start is None else start
     pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
-    for number, cloud in enumerate(without_room(iterate_clouds(clouds), planes), first):
+    ahead = Ahead() if isinstance(clouds, (Sequence, Cloud)) else None
+    every = without_room(iterate_clouds(clouds), planes)
+    for number, cloud in enumerate(every if ahead is None else ahead.pairs(every), first):
         if cloud.missing:
             frame = missing_frame(tracker, follower.surface, cloud, frame, pose)
             yield frame
@@ -108,7 +111,9 @@ def _track_frames(
                 follower, cloud, pose, number, search=search, sigma=sigma, candidates=likely, margin=margin
             )
         else:
-            frame = advance_frame(follower, frame, cloud, number, candidates=likely, margin=margin)
+            frame = advance_frame(
+                follower, frame, cloud, number, candidates=likely, margin=margin, ahead=ahead
+            )
         others = shows_others(follower, frame.pose, cloud, float(frame.statistics.outlier_share))
         frame = dataclasses.replace(frame, others=others)
         yield frame

@@ -1,0 +1,67 @@
+"""The next frame of a recorded sequence, tracked while the last one is judged."""
+
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import NamedTuple
+
+from ..observe.clouds import Cloud
+from .expectation_maximisation.em_step import FrameStatistics
+from .judge_frame import track_frame_jit
+from .track_frame import Tracker, TrackState
+
+
+class _Begun(NamedTuple):
+    """A frame whose tracking has begun, from a state that may not be the final one of the frame before."""
+
+    tracker: Tracker
+    state: TrackState
+    cloud: Cloud
+    result: Future[tuple[TrackState, FrameStatistics]]
+
+
+class Ahead:
+    """Track the next frame in a thread, and use the result only if the frame before it ends with the same state."""
+
+    def __init__(self):
+        #: the cloud after the current one, if it is known
+        self.following: Cloud | None = None
+        self._begun: _Begun | None = None
+        self._thread = ThreadPoolExecutor(1, "next frame")
+
+    def track(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
+        """Track a frame as `track_frame` does; at once if it was begun with the same arguments."""
+        begun, self._begun = self._begun, None
+        if begun is not None:
+            result = begun.result.result()
+            if begun.tracker is tracker and begun.state is state and begun.cloud is cloud:
+                return result
+        return track_frame_jit(tracker, state, cloud)
+
+    def begin(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> None:
+        """Begin the frame after `cloud`, if it is known and needs no other compiled function."""
+        following = self.following
+        if following is None or following.missing or following.points.shape != cloud.points.shape:
+            return
+        if len(following.views) != len(cloud.views):
+            return
+        result = self._thread.submit(track_frame_jit, tracker, state, following)
+        self._begun = _Begun(tracker, state, following, result)
+
+    def pairs(self, clouds: Iterable[Cloud]) -> Iterator[Cloud]:
+        """Yield clouds, each while the one after it is known; an error in the latter is raised at its turn."""
+        iterator = iter(clouds)
+        current, error = _next(iterator)
+        while current is not None:
+            self.following, error = _next(iterator)
+            yield current
+            current = self.following
+        self._thread.shutdown(wait=False)
+        if error is not None:
+            raise error
+
+
+def _next(clouds: Iterator[Cloud]) -> tuple[Cloud | None, Exception | None]:
+    try:
+        return next(clouds, None), None
+    except Exception as error:
+        return None, error
