@@ -5,6 +5,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import NamedTuple
 
 from ..observe.clouds import Cloud
+from ..parallel import with_own_settings
 from .expectation_maximisation.em_step import FrameStatistics
 from .judge_frame import track_frame_jit
 from .track_frame import Tracker, TrackState
@@ -31,10 +32,8 @@ class Ahead:
     def track(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
         """Track a frame as `track_frame` does; at once if it was begun with the same arguments."""
         begun, self._begun = self._begun, None
-        if begun is not None:
-            result = begun.result.result()
-            if begun.tracker is tracker and begun.state is state and begun.cloud is cloud:
-                return result
+        if begun is not None and begun.tracker is tracker and begun.state is state and begun.cloud is cloud:
+            return begun.result.result()
         return track_frame_jit(tracker, state, cloud)
 
     def begin(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> None:
@@ -44,18 +43,20 @@ class Ahead:
             return
         if len(following.views) != len(cloud.views):
             return
-        result = self._thread.submit(track_frame_jit, tracker, state, following)
+        result = self._thread.submit(with_own_settings(track_frame_jit), tracker, state, following)
         self._begun = _Begun(tracker, state, following, result)
 
     def pairs(self, clouds: Iterable[Cloud]) -> Iterator[Cloud]:
         """Yield clouds, each while the one after it is known; an error in the latter is raised at its turn."""
         iterator = iter(clouds)
         current, error = _next(iterator)
-        while current is not None:
-            self.following, error = _next(iterator)
-            yield current
-            current = self.following
-        self._thread.shutdown(wait=False)
+        try:
+            while current is not None:
+                self.following, error = _next(iterator)
+                yield current
+                current = self.following
+        finally:
+            self._thread.shutdown(wait=False)
         if error is not None:
             raise error
 

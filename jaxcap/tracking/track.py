@@ -46,6 +46,7 @@ def track_frames(
     candidates: Callable[[int], Sequence[Pose]] | None = None,
     margin: float = 0.0,
     planes: Sequence[Plane] | None = None,
+    look_ahead: bool | None = None,
 ) -> Iterator[TrackedFrame]:
     """Track a stream of clouds; yield each frame as soon as it is done.
 
@@ -56,7 +57,9 @@ def track_frames(
     that a resumed run searches as an uninterrupted one; `on_search` is called before every search;
     `candidates(number)` gives other candidate poses of a frame: the frame keeps the likeliest, and leaves the
     tracked pose only for one with a mean log-likelihood better by more than `margin`; `planes`, floors and walls whose points
-    are removed: by default those of the first cloud (`jc.observe.find_room`), none for an empty list.
+    are removed: by default those of the first cloud (`jc.observe.find_room`), none for an empty list; `look_ahead`, take each cloud
+    before the frame before it is yielded, so that it is tracked while that one is judged: by default for sequences, and not for iterators,
+    which may be live.
 
     A frame is judged by the points that no part explains and by the surface without points in view of a
     sensor, compared with the baseline of the previous frames. A frame that is not good is fitted again from a few hypotheses of
@@ -73,7 +76,7 @@ def track_frames(
     if tracker.terms and isinstance(start, Pose):
         check_finite_residuals("track_frames", Sum(tracker.terms), tracker.body, start)
     return _track_frames(
-        tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin, planes
+        tracker, clouds, start, search, sigma, up, first, on_search, candidates, margin, planes, look_ahead
     )
 
 
@@ -89,6 +92,7 @@ def _track_frames(
     candidates: Callable[[int], Sequence[Pose]] | None,
     margin: float,
     planes: Sequence[Plane] | None,
+    look_ahead: bool | None,
 ) -> Iterator[TrackedFrame]:
     """Track as `track_frames` does, after its checks."""
     forget_many_compiled()
@@ -97,7 +101,8 @@ def _track_frames(
     # where the first frame with a person starts
     pose = rest_pose(tracker.body.skeleton) if start is None else start
     pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
-    ahead = Ahead() if isinstance(clouds, (Sequence, Cloud)) else None
+    is_recorded = isinstance(clouds, (Sequence, Cloud)) if look_ahead is None else look_ahead
+    ahead = Ahead() if is_recorded else None
     every = without_room(iterate_clouds(clouds), planes)
     for number, cloud in enumerate(every if ahead is None else ahead.pairs(every), first):
         if cloud.missing:

@@ -1,5 +1,7 @@
 """Tracking of a body through a sequence of clouds, each frame from the previous one."""
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -42,6 +44,8 @@ from .judgement.region_samples import region_joints
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
 ITERATIONS, PARTIAL_ITERATIONS = 4, 6
+#: share of the subsets of a cloud that the last step uses, rounded up
+LAST_SHARE = 0.75
 #: number of points that count as one independent measurement against the prior of people, as the errors of
 #: neighbouring points are alike
 POINTS_PER_MEASUREMENT = 180.0
@@ -126,8 +130,8 @@ def make_tracker(
     do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`) and the ranges of knees
     and elbows (`human_flexion_limits`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
-    `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`, of which only the last uses all
-    points of a large cloud (`divide_cloud`);
+    `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`, of which all but the last use a
+    small subset of the points of a large cloud (`divide_cloud`);
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
     clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;
     `terms` are further energies, in units of a log-likelihood.
@@ -255,8 +259,8 @@ def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
 
-    Each step but the last uses another subset of the points (`divide_cloud`): more steps then take less time, and correct a
-    larger error of the prediction.
+    Each step but the last uses another subset of the points (`divide_cloud`), and the last one several: more steps then take
+    less time, and correct a larger error of the prediction.
 
     Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
     """
@@ -267,19 +271,19 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     sigma = first_sigma(tracker, state)
 
     clouds, count = divide_cloud(cloud), tracker.iterations
-    number = len(clouds.weights)
+    most = math.ceil(LAST_SHARE * len(clouds.weights))
 
     def step(iteration, last):
-        some = Subsets(clouds, iteration, jnp.where(iteration == count - 1, number, 1))
+        some = Subsets(clouds, iteration, jnp.where(iteration == count - 1, most, 1))
         return em_step(tracker.parts, tracker.mixture, prior, some, volume, last)
 
     start = Estimate(predicted, sigma, before.priors, before.clothes)
     first = first_step(tracker.body, tracker.parts, tracker.mixture, clouds, start)
     last = jax.lax.fori_loop(0, count, step, first)
-    every = Subsets(clouds, 0, number)
-    statistics = step_statistics(tracker.parts, tracker.mixture, every, volume, last)
+    used = Subsets(clouds, count - 1, most)
+    statistics = step_statistics(tracker.parts, tracker.mixture, used, volume, last)
     estimate = last.after
     if before.clothes is not None:
-        clothes = update_clothes(before.clothes, last.found, last.moved, every.cloud(), last.before.sigma)
+        clothes = update_clothes(before.clothes, last.found, last.moved, used.cloud(), last.before.sigma)
         estimate = Estimate(estimate.pose, estimate.sigma, estimate.priors, clothes)
     return TrackState(estimate, difference(skeleton, before.pose, estimate.pose)), statistics

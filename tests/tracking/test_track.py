@@ -125,6 +125,34 @@ def test_frames_are_traced_once(tracked):
     assert traces[-1] == traces[JUNK]
 
 
+def test_frames_that_are_tracked_ahead_are_the_same(tracked):
+    """A list shows the next cloud, which is tracked from a state that a lost frame changes; an iterator does not."""
+    frames, _, clouds = tracked
+    one_by_one = list(
+        track_frames(TRACKER, iter(clouds), motion_of(np.random.default_rng(11))[0], sigma=0.05)
+    )
+    assert same([frame.state for frame in frames], [frame.state for frame in one_by_one])
+    assert [frame.verdict for frame in frames] == [frame.verdict for frame in one_by_one]
+
+
+def test_an_error_of_the_next_cloud_comes_at_its_turn(tracked):
+    frames, _, clouds = tracked
+    wrong = eqx.tree_at(lambda cloud: cloud.points, clouds[1], 1000.0 * clouds[1].points)
+
+    def read():
+        yield from clouds[:2]
+        raise InputError("This file is damaged.")
+
+    stream = track_frames(TRACKER, read(), frames[0].pose, sigma=0.05, look_ahead=True)
+    assert [next(stream).lost, next(stream).lost] == [False, False]
+    with pytest.raises(InputError, match="damaged"):
+        next(stream)
+    stream = track_frames(TRACKER, [clouds[0], wrong], frames[0].pose, sigma=0.05)
+    assert not next(stream).lost
+    with pytest.raises(InputError, match="cloud 1 is"):
+        next(stream)
+
+
 def test_a_run_goes_on_from_a_frame_bit_by_bit(tracked):
     frames, _, clouds = tracked
     rest = track_frames(TRACKER, clouds[JUNK:], frames[JUNK - 1], first=JUNK)

@@ -370,6 +370,7 @@ class Track:
             first=begin,
             on_search=make_announcer(),
             planes=planes,
+            look_ahead=True,
         )
         for number, (frame, seconds) in enumerate(timed(frames), begin):
             yield dataclasses.replace(frame, others=frame.others or number in others), seconds
