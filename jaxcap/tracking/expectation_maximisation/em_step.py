@@ -230,7 +230,11 @@ def em_step(
     estimate, posed = last.after, last.moved
     number, size = subsets.clouds.weights.shape
 
-    def add(step, sums):
+    def add(sums, step):
+        # a loop of a given length, which has derivatives in both modes
+        return jax.lax.cond(step < subsets.count, add_subset, lambda same, _: same, sums, step), None
+
+    def add_subset(sums, step):
         equations, found = sums
         row = (subsets.first + step) % number
         cloud = jax.tree.map(lambda leaf: leaf[row], subsets.clouds)
@@ -246,7 +250,7 @@ def em_step(
     none = jnp.zeros((), dtype), jnp.zeros(dofs, dtype), jnp.zeros((dofs, dofs), dtype)
     blank = no_posterior(number * size, parts, mixture.candidates, dtype)
     with jax.default_matmul_precision("highest"):
-        equations, found = jax.lax.fori_loop(0, subsets.count, add, (none, blank))
+        (equations, found), _ = jax.lax.scan(add, (none, blank), jnp.arange(number))
     cloud = subsets.cloud()
     used = jnp.sum(cloud.weights)
     share = jnp.sum(subsets.clouds.weights) / jnp.where(used > 0, used, 1.0)
