@@ -47,8 +47,10 @@ class PoseProblem(AbstractDenseProblem[Pose]):
 
     def information(self, y: Pose):
         scales = self.scales()
-        parts = [frame_equations(self.energy, self.body, y)]
-        value, gradient, matrix = sum_equations([*parts, *([] if self.summed is None else [self.summed])])
+        equations = frame_equations(self.energy, self.body, y)
+        if self.summed is not None:
+            equations = sum_equations([equations, self.summed])
+        value, gradient, matrix = equations
         bounds = None
         if self.boxes is not None:
             chart = self._chart(self.boxes, y)

@@ -174,7 +174,10 @@ def follow_frame(
     trusted pose is not tried.
     """
     before = frame.state.estimate.pose
-    state, statistics = (track_frame_jit if ahead is None else ahead.track)(tracker, frame.state, cloud)
+    if ahead is None:
+        state, statistics = track_frame_jit(tracker, frame.state, cloud)
+    else:
+        state, statistics = ahead.track(frame.state, cloud)
     # a lost frame may have led away from the correct pose
     others = [*([frame.trusted] if frame.lost and judge else []), *poses]
     if others:
@@ -182,7 +185,7 @@ def follow_frame(
     if frame.lost:
         state = reset_velocity(tracker, state)
     if ahead is not None:
-        ahead.begin(tracker, state, cloud)
+        ahead.begin(state, cloud)
     if not judge:
         return TrackedFrame(
             state.estimate.pose,

@@ -14,7 +14,6 @@ from .track_frame import Tracker, TrackState
 class _Begun(NamedTuple):
     """A frame whose tracking has begun, from a state that may not be the final one of the frame before."""
 
-    tracker: Tracker
     state: TrackState
     cloud: Cloud
     result: Future[tuple[TrackState, FrameStatistics]]
@@ -23,30 +22,31 @@ class _Begun(NamedTuple):
 class Ahead:
     """Track the next frame in a thread, and use the result only if the frame before it ends with the same state."""
 
-    def __init__(self):
+    def __init__(self, tracker: Tracker):
+        self._tracker = tracker
         #: the cloud after the current one, if it is known
         self.following: Cloud | None = None
         self._begun: _Begun | None = None
         self._thread = ThreadPoolExecutor(1, "next frame")
 
-    def track(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
+    def track(self, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
         """Track a frame as `track_frame` does; at once if it was begun with the same arguments."""
         begun, self._begun = self._begun, None
-        if begun is not None and begun.tracker is tracker and begun.state is state and begun.cloud is cloud:
+        if begun is not None and begun.state is state and begun.cloud is cloud:
             return begun.result.result()
-        return track_frame_jit(tracker, state, cloud)
+        return track_frame_jit(self._tracker, state, cloud)
 
-    def begin(self, tracker: Tracker, state: TrackState, cloud: Cloud) -> None:
+    def begin(self, state: TrackState, cloud: Cloud) -> None:
         """Begin the frame after `cloud`, if it is known and needs no other compiled function."""
         following = self.following
         if following is None or following.missing or following.points.shape != cloud.points.shape:
             return
         if len(following.views) != len(cloud.views):
             return
-        result = self._thread.submit(with_own_settings(track_frame_jit), tracker, state, following)
-        self._begun = _Begun(tracker, state, following, result)
+        result = self._thread.submit(with_own_settings(track_frame_jit), self._tracker, state, following)
+        self._begun = _Begun(state, following, result)
 
-    def pairs(self, clouds: Iterable[Cloud]) -> Iterator[Cloud]:
+    def with_next(self, clouds: Iterable[Cloud]) -> Iterator[Cloud]:
         """Yield clouds, each while the one after it is known; an error in the latter is raised at its turn."""
         iterator = iter(clouds)
         current, error = _next(iterator)
@@ -56,7 +56,7 @@ class Ahead:
                 yield current
                 current = self.following
         finally:
-            self._thread.shutdown(wait=False)
+            self._thread.shutdown(wait=False, cancel_futures=True)
         if error is not None:
             raise error
 

@@ -39,7 +39,7 @@ from .expectation_maximisation.em_step import (
     uniform_priors,
 )
 from .expectation_maximisation.learn_clothes import update_clothes
-from .expectation_maximisation.subsets import Subsets, divide_cloud
+from .expectation_maximisation.subsets import Subsets, divide_cloud, first_subset
 from .judgement.region_samples import region_joints
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
@@ -271,16 +271,17 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     sigma = first_sigma(tracker, state)
 
     clouds, count = divide_cloud(cloud), tracker.iterations
-    most = math.ceil(LAST_SHARE * len(clouds.weights))
+    number = len(clouds.weights)
+    most = math.ceil(LAST_SHARE * number) if count > 1 else number
 
     def step(iteration, last):
-        some = Subsets(clouds, iteration, jnp.where(iteration == count - 1, most, 1))
+        some = first_subset(Subsets(clouds, jnp.where(iteration == count - 1, most, 1)), iteration)
         return em_step(tracker.parts, tracker.mixture, prior, some, volume, last)
 
     start = Estimate(predicted, sigma, before.priors, before.clothes)
     first = first_step(tracker.body, tracker.parts, tracker.mixture, clouds, start)
     last = jax.lax.fori_loop(0, count, step, first)
-    used = Subsets(clouds, count - 1, most)
+    used = first_subset(Subsets(clouds, most), count - 1)
     statistics = step_statistics(tracker.parts, tracker.mixture, used, volume, last)
     estimate = last.after
     if before.clothes is not None:

@@ -91,6 +91,14 @@ def test_a_limb_in_a_wrong_minimum_is_solved_again(rng):
     weights = np.where(lengths > FAR, 0.0, 1.0)
     wrong = SolvedFrame(starts, *(jnp.asarray(x) for x in (lengths, weights, np.ones(40), np.ones(40, int))))
     assert unexplained_bones(SUBJECT, used, lengths).sum() == 3
+    # a solution that is not a number is never kept
+    broken = wrong._replace(
+        pose=eqx.tree_at(lambda p: p.rotations, starts, starts.rotations.at[13].set(jnp.nan)),
+        residuals=wrong.residuals.at[13].set(jnp.nan),
+        residual_scale=wrong.residual_scale.at[13].set(jnp.nan),
+    )
+    again = solve_doubtful_frames(SUBJECT, positions, used, used.any(1), broken, None)
+    assert errors(Motion(again.pose, 100.0), motion).max() < 1e-4
     mended = solve_doubtful_frames(SUBJECT, positions, used, used.any(1), wrong, None)
     assert errors(Motion(mended.pose, 100.0), motion).max() < 1e-4
     np.testing.assert_array_equal(mended.pose.rotations[:12], starts.rotations[:12])

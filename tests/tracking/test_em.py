@@ -25,7 +25,7 @@ from jaxcap.tracking.expectation_maximisation.em_step import (
     step_statistics,
     uniform_priors,
 )
-from jaxcap.tracking.expectation_maximisation.subsets import Subsets, divide_cloud, whole_cloud
+from jaxcap.tracking.expectation_maximisation.subsets import Subsets, divide_cloud, first_subset, whole_cloud
 
 BODY = chain_body("rigid")
 SKELETON = BODY.skeleton
@@ -72,7 +72,7 @@ def run(mixture, cloud, start, sigma):
 @eqx.filter_jit
 def one_step(clouds, first, count, start):
     """One step with `count` of the subsets, and its statistics."""
-    subsets, volume = Subsets(clouds, first, count), jnp.asarray(3.0)
+    subsets, volume = first_subset(Subsets(clouds, count), first), jnp.asarray(3.0)
     last = em_step(PARTS, MIXTURE, NO_PRIOR, subsets, volume, first_step(BODY, PARTS, MIXTURE, clouds, start))
     return last, step_statistics(PARTS, MIXTURE, subsets, volume, last)
 
@@ -106,6 +106,8 @@ def test_subsets_of_a_cloud(rng):
     )
     clouds = divide_cloud(cloud, 100)
     assert clouds.points.shape == (4, 101, 3)
+    half = eqx.tree_at(lambda c: c.weights, cloud, cloud.weights.at[::2].set(0.0))
+    assert ((divide_cloud(half, 100).weights > 0).sum(1) >= 50).all()
     assert divide_cloud(cloud, 202).points.shape == (1, 402, 3)
     np.testing.assert_allclose(jnp.sum(clouds.weights), jnp.sum(cloud.weights))
     whole = whole_cloud(cloud)

@@ -65,7 +65,7 @@ def _tiles_and_blocks(
     rows = jnp.concatenate([cloud.points, cloud.normals, limits[:, None], cloud.weights[:, None]], 1)
     rows = jnp.pad(rows, ((0, -len(rows) % TILE), (0, 0)))
     tiles = jnp.swapaxes(rows.reshape(-1, TILE, 8), 1, 2)
-    return tiles, jnp.swapaxes(jnp.concatenate([vertices, normals], 1)[parts.slots], 1, 2)
+    return tiles, jnp.swapaxes(jnp.concatenate([vertices, normals], 1).astype(tiles.dtype)[parts.slots], 1, 2)
 
 
 def _in_reach(tiles: Float[Array, "T 8 16"], blocks: Float[Array, "B 6 32"], reach) -> Bool[Array, "B T"]:
@@ -85,7 +85,7 @@ def _in_reach(tiles: Float[Array, "T 8 16"], blocks: Float[Array, "B 6 32"], rea
 def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 16"], blocks: Float[Array, "*#pairs 6 32"]):
     """Find the nearest compatible slot of a block, and its squared distance, for each point of a tile.
 
-    The squared distance loses its last five bits, 4e-6 of it in single precision.
+    The squared distance loses its last five bits, 4e-6 of it in single precision, and has no derivative.
     """
     x, y, z, nx, ny, nz, limit, _ = (tiles[..., i, :] for i in range(8))
     shape = jnp.broadcast_shapes(tiles.shape[:-2], blocks.shape[:-2])
@@ -98,7 +98,8 @@ def _nearest_in_blocks(tiles: Float[Array, "*#pairs 8 16"], blocks: Float[Array,
         for s in range(UNROLLED):
             vx, vy, vz, ux, uy, uz = (some[..., i, s, None] for i in range(6))
             squared = (x - vx) ** 2 + (y - vy) ** 2 + (z - vz) ** 2
-            is_compatible = nx * ux + ny * uy + nz * uz > limit
+            # what is not a number may have a sign
+            is_compatible = (nx * ux + ny * uy + nz * uz > limit) & (squared >= 0)
             bits = lax.bitcast_convert_type(squared, integer) & ~(BLOCK - 1)
             best = jnp.minimum(best, jnp.where(is_compatible, bits | (i * UNROLLED + s), none))
         return best

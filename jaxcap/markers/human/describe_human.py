@@ -7,6 +7,8 @@ import numpy as np
 from ...body.people.morph_targets import Traits
 from ..calibration.calibrate import Calibration
 from ..marker_sets.recognise import MarkerSet
+from ..motion.inverse_kinematics import describe_lost
+from ..motion.unexplained_bones import describe_unexplained, unexplained_bones
 from .body_size import PersonSize, body_height, is_adult
 from .check_person import stands_still
 from .further_markers import FurtherMarkers
@@ -37,6 +39,14 @@ def describe_human(
         *_joints_by_anatomy(found),
         *_unknown_markers(further, known),
     )
+
+
+def describe_frames(found: Calibration) -> tuple[str, ...]:
+    """Describe the bones that the pose of some frames does not explain, and the lost frames."""
+    subject, residuals = found.subject, found.residuals
+    used = np.isfinite(residuals) & (np.asarray(subject.weights) > 0) & ~found.lost[:, None]
+    unexplained = unexplained_bones(subject, used, residuals)
+    return (*describe_unexplained(subject, unexplained), *describe_lost(found.lost))
 
 
 def describe_child(size: PersonSize, traits: Traits) -> list[str]:

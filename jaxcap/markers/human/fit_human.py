@@ -19,7 +19,6 @@ from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
 from ..marker_sets.recognise import MarkerSet, recognise_markers
-from ..motion.unexplained_bones import describe_unexplained, unexplained_bones
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps, describe_exchanges
 from ..subject import Subject
@@ -34,7 +33,7 @@ from .check_person import (
     check_recognised,
     check_sides,
 )
-from .describe_human import describe_child, describe_human
+from .describe_human import describe_child, describe_frames, describe_human
 from .further_markers import attach_further_markers
 from .human_template import HumanTemplate, make_human_template
 from .misplaced_markers import find_misplaced
@@ -156,7 +155,7 @@ def fit_human(
         known,
         found,
         (
-            *describe_unexplained(found.subject, _unexplained(found)),
+            *describe_frames(found),
             *describe_child(size, traits),
             *(describe_lengths(segment_lengths(found, subject.skeleton)) if is_adult(traits) else []),
             *describe_human(
@@ -166,11 +165,6 @@ def fit_human(
             *([f"{len(never)} markers are never visible: {', '.join(never[:10])}."] if never else []),
         ),
     )
-
-
-def _unexplained(found: Calibration) -> Bool[np.ndarray, "F J"]:
-    is_used = np.isfinite(found.residuals) & (np.asarray(found.subject.weights) > 0) & ~found.lost[:, None]
-    return unexplained_bones(found.subject, is_used, found.residuals)
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:

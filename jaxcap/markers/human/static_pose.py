@@ -7,9 +7,9 @@ from ...body.pose import Motion, take_poses
 from ...errors import InputError
 from ...observe.markers import MarkerFrames
 from ..calibration.calibrate import Calibration
-from ..motion.inverse_kinematics import describe_lost
 from ..segments.merge_takes import merge_takes
 from ..segments.rigid_motion import displacement
+from .describe_human import describe_frames
 
 #: largest displacement of a marker in a static trial, metres
 MAX_SWAY = 0.08
@@ -57,16 +57,16 @@ def static_weights(count: int, num_frames: int) -> Float[np.ndarray, "F"]:
 def without_static(found: Calibration) -> Calibration:
     """Remove the last frame, which is that of the static pose, from the motion of a calibration and its messages."""
     rest = np.arange(len(found.motion) - 1)
-    before, after = describe_lost(found.lost), list(describe_lost(found.lost[:-1]))
+    before = describe_frames(found)
+    shown = found._replace(residuals=found.residuals[:-1], lost=found.lost[:-1])
+    after = list(describe_frames(shown))
     if found.lost[-1]:
         after.append(
             "No pose of the person explains the static trial, so it determines nothing; check its labels."
         )
     kept = tuple(message for message in found.motion_messages if message not in before)
-    return found._replace(
+    return shown._replace(
         motion=Motion(take_poses(found.motion.poses, rest), found.motion.rate),
-        residuals=found.residuals[:-1],
-        lost=found.lost[:-1],
         motion_messages=(*kept, *after),
         frame_indices=found.frame_indices[found.frame_indices < len(rest)],
     )

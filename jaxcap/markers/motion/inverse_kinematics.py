@@ -159,9 +159,7 @@ def _solve_chunk(
 def solve_doubtful_frames(
     subject: Subject, positions, used, enough, solved: SolvedFrame, energy
 ) -> SolvedFrame:
-    """Solve doubtful frames again from an initial guess, and keep the better of both solutions: fewer markers are far off, or
-    all are nearer.
-    """
+    """Solve doubtful frames again from an initial guess, and keep the solution with fewer far markers or a smaller median."""
     is_poor = ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE)
     doubtful = np.flatnonzero(
         enough & (is_poor | unexplained_bones(subject, used, np.asarray(solved.residuals)).any(1))
@@ -175,9 +173,12 @@ def solve_doubtful_frames(
         subject, starts, positions[padded], jnp.asarray(used[padded]), INITIAL_SEARCH, energy
     )
     some = take_rows(solved, doubtful), take_rows(other, slice(len(doubtful)))
-    far, other_far = ((used[doubtful] & (np.asarray(one.residuals) > FAR)).sum(1) for one in some)
+    far, other_far = ((used[doubtful] & ~(np.asarray(one.residuals) <= FAR)).sum(1) for one in some)
     scale, other_scale = (np.asarray(one.residual_scale) for one in some)
-    better = np.flatnonzero((other_far < far) | ((other_far == far) & ~(scale <= other_scale)))
+    # the few markers that are not far fit any pose
+    fits = (other_scale < MAX_RESIDUAL_SCALE) | ~(other_scale > scale)
+    is_better = ((other_far < far) & fits) | ((other_far == far) & ~(scale <= other_scale))
+    better = np.flatnonzero(is_better & np.isfinite(other_scale))
     if not len(better):
         return solved
     return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)

@@ -22,7 +22,7 @@ def unexplained_bones(
     """
     members = (np.asarray(subject.bones)[:, None] == np.arange(subject.skeleton.num_joints)).astype(int)
     counts = used.astype(int) @ members
-    return (counts >= MIN_MARKERS) & ((used & (distances > FAR)).astype(int) @ members == counts)
+    return (counts >= MIN_MARKERS) & ((used & ~(distances <= FAR)).astype(int) @ members == counts)
 
 
 def describe_unexplained(subject: Subject, unexplained: Bool[np.ndarray, "F J"]) -> tuple[str, ...]:

@@ -229,28 +229,23 @@ def em_step(
     """
     estimate, posed = last.after, last.moved
     number, size = subsets.clouds.weights.shape
+    dofs, dtype = posed.body.skeleton.num_dofs, posed.vertices.dtype
+    blank = no_posterior(size, parts, mixture.candidates, dtype)
 
-    def add(sums, step):
-        # a loop of a given length, which has derivatives in both modes
-        return jax.lax.cond(step < subsets.count, add_subset, lambda same, _: same, sums, step), None
+    def add(equations, subset):
+        step, cloud = subset
+        # a loop of a given length has derivatives in both modes
+        return jax.lax.cond(step < subsets.count, add_used, lambda same, _: (same, blank), equations, cloud)
 
-    def add_subset(sums, step):
-        equations, found = sums
-        row = (subsets.first + step) % number
-        cloud = jax.tree.map(lambda leaf: leaf[row], subsets.clouds)
+    def add_used(equations, cloud):
         own = posterior_at(parts, mixture, posed, cloud, volume, estimate)
         data = data_energy(own, posed, cloud, estimate.sigma, mixture.tangential_weight, estimate.clothes)
-        added = sum_equations([equations, posed_equations(data, posed)])
-        place = row * size
-        return added, jax.tree.map(
-            lambda every, some: jax.lax.dynamic_update_slice_in_dim(every, some, place, 0), found, own
-        )
+        return sum_equations([equations, posed_equations(data, posed)]), own
 
-    dofs, dtype = posed.body.skeleton.num_dofs, posed.vertices.dtype
     none = jnp.zeros((), dtype), jnp.zeros(dofs, dtype), jnp.zeros((dofs, dofs), dtype)
-    blank = no_posterior(number * size, parts, mixture.candidates, dtype)
     with jax.default_matmul_precision("highest"):
-        (equations, found), _ = jax.lax.scan(add, (none, blank), jnp.arange(number))
+        equations, found = jax.lax.scan(add, none, (jnp.arange(number), subsets.clouds))
+    found = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), found)
     cloud = subsets.cloud()
     used = jnp.sum(cloud.weights)
     share = jnp.sum(subsets.clouds.weights) / jnp.where(used > 0, used, 1.0)
