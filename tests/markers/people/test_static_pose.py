@@ -12,6 +12,7 @@ from jaxcap.markers.calibration.calibrate import Calibration
 from jaxcap.markers.calibration.calibration_problem import CalibrationEstimate, make_calibration_problem
 from jaxcap.markers.calibration.variances import marker_deviations
 from jaxcap.markers.human import fit_human
+from jaxcap.markers.human.describe_human import describe_frames
 from jaxcap.markers.human.static_pose import append_static, standing_frame, static_weights, without_static
 from jaxcap.markers.motion.inverse_kinematics import describe_lost
 from jaxcap.markers.segments.swaps import CorrectedMarkers, describe_exchanges
@@ -69,10 +70,21 @@ def test_frames_keep_their_numbers_next_to_a_static_pose(rng):
     lost = np.array([False, False, True, False, True])
     sliding, motion = "Skin slides.", moving(rng, 5)
     known = dict.fromkeys(Calibration._fields)
-    known |= dict(motion=motion, residuals=np.arange(10.0).reshape(5, 2), lost=lost, frame_indices=np.array([0, 3, 4]))  # fmt: skip
+    distances = 5e-4 * np.arange(90.0).reshape(5, 18)
+    # a bone far off in the static pose and in three frames, of which one is lost
+    distances[[0, 1, 2, 4], 15:] = 0.3
+    known |= dict(subject=truth(), motion=motion, residuals=distances, lost=lost, frame_indices=np.array([0, 3, 4]))  # fmt: skip
+    lost_only = Calibration(**known)
+    assert describe_frames(lost_only) == describe_lost(lost)
+    far = Calibration(**known | {"lost": np.zeros(5, bool)})
+    assert "right_hand in 4 frames (0 to 4)" in describe_frames(far)[0]
+    assert (
+        "right_hand in 3 frames (0 to 2)"
+        in without_static(far._replace(motion_messages=())).motion_messages[0]
+    )
     rest = without_static(Calibration(**known | {"motion_messages": (sliding, *describe_lost(lost))}))
     np.testing.assert_array_equal(rest.frame_indices, [0, 3])
-    np.testing.assert_array_equal(rest.residuals, np.arange(8.0).reshape(4, 2))
+    np.testing.assert_array_equal(rest.residuals, distances[:4])
     np.testing.assert_array_equal(rest.motion.poses.rotations, motion.poses.rotations[:4])
     assert rest.motion_messages[0] == sliding and len(rest.motion_messages) == 3
     assert "1 of 4 frames" in rest.motion_messages[1] and "pose: 2." in rest.motion_messages[1]
