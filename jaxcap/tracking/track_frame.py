@@ -130,7 +130,7 @@ def make_tracker(
     do: a body whose joints have names of a person's then has the prior of people's poses (`human_prior`) and the ranges of knees
     and elbows (`human_flexion_limits`), and the embedded human
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
-    `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`, of which all but the last use a
+    `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`; all but the last use a
     small subset of the points of a large cloud (`divide_cloud`);
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
     clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;

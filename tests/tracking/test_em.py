@@ -71,7 +71,7 @@ def run(mixture, cloud, start, sigma):
 
 @eqx.filter_jit
 def one_step(clouds, first, count, start):
-    """One step with `count` of the subsets, and its statistics."""
+    """Take a step with some of the subsets; return also its statistics."""
     subsets, volume = first_subset(Subsets(clouds, count), first), jnp.asarray(3.0)
     last = em_step(PARTS, MIXTURE, NO_PRIOR, subsets, volume, first_step(BODY, PARTS, MIXTURE, clouds, start))
     return last, step_statistics(PARTS, MIXTURE, subsets, volume, last)

@@ -20,7 +20,7 @@ from ..subject import Subject, marker_body
 from .initial_pose import estimate_initial_poses
 from .label_matching import match_markers
 from .solve_frame import SearchCriteria, SolvedFrame, solve_frame
-from .unexplained_bones import FAR, describe_unexplained, unexplained_bones
+from .unexplained_bones import describe_unexplained, far_markers, unexplained_bones
 
 _LOG = logging.getLogger(__name__)
 
@@ -173,7 +173,7 @@ def solve_doubtful_frames(
         subject, starts, positions[padded], jnp.asarray(used[padded]), INITIAL_SEARCH, energy
     )
     some = take_rows(solved, doubtful), take_rows(other, slice(len(doubtful)))
-    far, other_far = ((used[doubtful] & ~(np.asarray(one.residuals) <= FAR)).sum(1) for one in some)
+    far, other_far = (far_markers(used[doubtful], np.asarray(one.residuals)).sum(1) for one in some)
     scale, other_scale = (np.asarray(one.residual_scale) for one in some)
     # the few markers that are not far fit any pose
     fits = (other_scale < MAX_RESIDUAL_SCALE) | ~(other_scale > scale)

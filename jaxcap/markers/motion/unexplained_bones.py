@@ -13,6 +13,13 @@ MIN_MARKERS = 2
 MIN_FRAMES, MAX_BONES = 3, 8
 
 
+def far_markers(
+    used: Bool[np.ndarray, "F M"], distances: Float[np.ndarray, "F M"]
+) -> Bool[np.ndarray, "F M"]:
+    """Find the used markers that are far from where the pose has them, or at no finite distance."""
+    return used & ~(distances <= FAR)
+
+
 def unexplained_bones(
     subject: Subject, used: Bool[np.ndarray, "F M"], distances: Float[np.ndarray, "F M"]
 ) -> Bool[np.ndarray, "F J"]:
@@ -22,7 +29,7 @@ def unexplained_bones(
     """
     members = (np.asarray(subject.bones)[:, None] == np.arange(subject.skeleton.num_joints)).astype(int)
     counts = used.astype(int) @ members
-    return (counts >= MIN_MARKERS) & ((used & ~(distances <= FAR)).astype(int) @ members == counts)
+    return (counts >= MIN_MARKERS) & (far_markers(used, distances).astype(int) @ members == counts)
 
 
 def describe_unexplained(subject: Subject, unexplained: Bool[np.ndarray, "F J"]) -> tuple[str, ...]:

@@ -71,7 +71,7 @@ def test_frames_keep_their_numbers_next_to_a_static_pose(rng):
     sliding, motion = "Skin slides.", moving(rng, 5)
     known = dict.fromkeys(Calibration._fields)
     distances = 5e-4 * np.arange(90.0).reshape(5, 18)
-    # a bone far off in the static pose and in three frames, of which one is lost
+    # a bone is far off in the static pose and in three frames; one of these is lost
     distances[[0, 1, 2, 4], 15:] = 0.3
     known |= dict(subject=truth(), motion=motion, residuals=distances, lost=lost, frame_indices=np.array([0, 3, 4]))  # fmt: skip
     lost_only = Calibration(**known)
