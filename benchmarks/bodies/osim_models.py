@@ -5,7 +5,6 @@ OpenSim 4.6 in an environment that is created under --venvs, and here, in float6
 of markers, and which coordinates are angles. Models that are refused are listed with their sentence.
 """
 
-import argparse
 import tempfile
 from pathlib import Path
 
@@ -14,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from benchmarks.markers._rivals.environments import environment, run_script
+from benchmarks.markers._rivals.environments import opensim_parser, opensim_python, run_script
 from benchmarks.report import finish, progress
 from jaxcap.io.opensim.osim import OsimModel
 
@@ -48,16 +47,8 @@ def compare(model: OsimModel, theirs: dict[str, np.ndarray]) -> dict[str, float]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--models", type=Path, required=True, help="a checkout of opensim-org/opensim-models")
-    parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
-    parser.add_argument("--python", type=Path, help="a Python that has opensim, in place of an environment")
-    options = parser.parse_args()
-    python = options.python or environment("opensim", options.venvs)
-    if python is None:
-        raise SystemExit("The package opensim could not be installed.")
+    options = opensim_parser(__doc__).parse_args()
+    python = opensim_python(options)
     jax.config.update("jax_enable_x64", True)
     found, refused = [], 0
     with tempfile.TemporaryDirectory() as folder:

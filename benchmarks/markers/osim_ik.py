@@ -6,7 +6,6 @@ tool of OpenSim 4.6 in an environment that is created under --venvs. Both minimi
 frames in which OpenSim reaches the same minimum; in the others its sum must be larger. The time is that of its default accuracy.
 """
 
-import argparse
 import json
 import tempfile
 from pathlib import Path
@@ -17,7 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxcap as jc
-from benchmarks.markers._rivals.environments import environment, run_script
+from benchmarks.markers._rivals.environments import opensim_parser, opensim_python, run_script
 from benchmarks.report import Timer, finish, progress
 from jaxcap.body.coordinates.coordinate_model import pose_from_coordinates
 from jaxcap.io.registry import read_marker_file
@@ -173,17 +172,10 @@ def isb_difference(folder: Path, path: str, knee: int) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--models", type=Path, required=True, help="a checkout of opensim-org/opensim-models")
+    parser = opensim_parser(__doc__)
     parser.add_argument("--pairs", nargs="*", default=list(PAIRS), choices=list(PAIRS))
-    parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
-    parser.add_argument("--python", type=Path, help="a Python that has opensim, in place of an environment")
     options = parser.parse_args()
-    python = options.python or environment("opensim", options.venvs)
-    if python is None:
-        raise SystemExit("The package opensim could not be installed.")
+    python = opensim_python(options)
     figures, seconds, limits = {}, {}, {}
     for name in options.pairs:
         found, taken = measure(name, options.models, python)

@@ -1,5 +1,6 @@
 """Rivals in virtual environments of their own: made where they are not there, and run in processes of their own."""
 
+import argparse
 import os
 import shutil
 import subprocess
@@ -40,6 +41,25 @@ def find_python(versions: tuple[str, ...]) -> str | None:
         if found := shutil.which(f"python{version}"):
             return found
     return None
+
+
+def opensim_parser(description: str | None) -> argparse.ArgumentParser:
+    """Make the parser of a benchmark against OpenSim, with its models and its Python."""
+    parser = argparse.ArgumentParser(
+        description=description, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--models", type=Path, required=True, help="a checkout of opensim-org/opensim-models")
+    parser.add_argument("--venvs", type=Path, default=Path.home() / ".cache" / "jaxcap" / "rivals")
+    parser.add_argument("--python", type=Path, help="a Python that has opensim, in place of an environment")
+    return parser
+
+
+def opensim_python(options: argparse.Namespace) -> Path:
+    """Find the Python of `opensim_parser`'s options, or make its environment."""
+    python = options.python or environment("opensim", options.venvs)
+    if python is None:
+        raise SystemExit("The package opensim could not be installed.")
+    return python
 
 
 def environment(name: str, folder: Path) -> Path | None:
