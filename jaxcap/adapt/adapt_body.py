@@ -203,11 +203,15 @@ def _correct_flips_unordered(task: AdaptTask, state: AdaptState, stage: Stage, e
 def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: Pose | None = None) -> Steps:
     """Track all frames, or the first ones, and search for lost poses.
 
-    A frame keeps its pose if the tracker finds none that explains it better.
+    A frame keeps its pose if the tracker finds none that explains it better. If the body was adapted to all frames and explains
+    them, no frame is tracked.
     """
+    there, passed = task.frames_of(stage), state.within
+    if not passed and _is_adapted_to(task, state, there):
+        state = flag_frames(task, state)
+        return append_history(task, state, str(stage), select_evenly(there))
     if task.settings.unordered:
         return (yield from _find_unordered(task, state, stage, every))
-    there, passed = task.frames_of(stage), state.within
     if not passed:
         state = state._replace(lost=tuple(task.missing), reasons=(), chosen=())
     before = state.tracked or (state.motion[there[0]] if start is None else start)
@@ -244,6 +248,11 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
     return append_history(
         task, state, str(stage), select_evenly(task.scanned) if stage.frames is None else there[-1:]
     )
+
+
+def _is_adapted_to(task: AdaptTask, state: AdaptState, frames: Sequence[int]) -> bool:
+    """Test if the body and the poses of some frames were adapted to their scans together, and none of these is lost."""
+    return set(frames) <= set(state.chosen) and set(state.lost) <= set(task.missing)
 
 
 def _find_unordered(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:

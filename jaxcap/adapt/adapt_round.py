@@ -33,6 +33,8 @@ from .task import AdaptSettings, AdaptState, AdaptTask, Stage
 TANGENTIAL_WEIGHT = 0.005
 #: damping of a step on all poses and modes, as a share of each curvature
 DAMPING = 1e-3
+#: steps of each chosen frame's own pose before the first round; each round takes one more, on all unknowns
+STEPS = 3
 
 
 def adapt_round(
@@ -44,16 +46,17 @@ def adapt_round(
         state = _replace_by_person(task.shape_space, state)
     chosen = state.chosen or spread_frames(state, settings.num_frames, stage.frames)
     poses = {n: state.motion[n] for n in chosen}
-    if stage.round == 1:
+    if stage.round == 1 and not state.chosen:
         pair_cache.keep(chosen)
-        found = fit_task_poses(task, state, map(pair_cache.scan, chosen), list(poses.values()), steps=6)
+        found = fit_task_poses(task, state, map(pair_cache.scan, chosen), list(poses.values()), steps=STEPS)
         for n, fit in zip(chosen, found, strict=True):
             poses[n] = fit.pose
             pair_cache.record(n, state.body, fit.pose, fit.pairs)
     if stage.pass_number == 0:
         body, poses, coefficients = _proportions(task, state, poses, pair_cache)
-        # choose new frames for the adaptation of vertices
-        chosen_next = () if stage.round == settings.proportion_rounds else chosen
+        # choose new frames for the adaptation of vertices, if there are others
+        is_last = stage.round == settings.proportion_rounds and not set(task.scanned) <= set(chosen)
+        chosen_next = () if is_last else chosen
     else:
         body, poses = _surface(task, state, poses, pair_cache, stage)
         coefficients, chosen_next = state.coefficients, chosen

@@ -117,7 +117,7 @@ class AdaptState(NamedTuple):
     motion: Motion
     #: frames that the body explains worse than is normal for the sequence, or that have no scan
     lost: tuple[int, ...] = ()
-    #: frames that the body is currently adapted to
+    #: frames that the body is currently adapted to, in poses that were adapted with it; empty if they are to be chosen
     chosen: tuple[int, ...] = ()
     #: the name of each stage, and the root mean square distance of a pair after it, millimetres
     history: tuple[tuple[str, float], ...] = ()

@@ -84,6 +84,19 @@ def test_frames_that_are_not_done_are_as_they_were(scene):
     assert np.abs(np.asarray(state.motion[0].rotations - before.motion[0].rotations)).max() > 1e-4
 
 
+def test_scans_that_the_body_was_adapted_to_are_not_tracked_again(scene):
+    """Unless one of them is lost, or others were not adapted to."""
+    task, before = before_stage(scene, "track")
+    every = tuple(range(task.num_frames))
+    (kept,) = stage_of(task, before._replace(chosen=every))
+    np.testing.assert_array_equal(kept.motion.poses.rotations, before.motion.poses.rotations)
+    assert kept.chosen == every and kept.history[-1][0] == "track"
+    for other in ({"chosen": every, "lost": (1,)}, {"chosen": every[1:]}):
+        (tracked,) = stage_of(task, before._replace(**other))
+        assert tracked.chosen == ()
+        assert np.abs(np.asarray(tracked.motion.poses.rotations - kept.motion.poses.rotations)).max() > 1e-3
+
+
 def test_lost_and_missing_frames_are_told_from_any_piece_on(scene):
     """Also those before the piece that is gone on from."""
     noise = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 3))
