@@ -111,7 +111,7 @@ def main() -> None:
     finish(
         "adapt_speed",
         figures,
-        {"pose_s": ("<=", 1.0), "adaptation_s": ("<=", 80.0)},
+        {"pose_s": ("<=", 1.0), "adaptation_s": ("<=", 45.0)},
         {"points": len(clouds[0].points), "vertices": len(actor.vertices), "frames": options.frames},
     )
 

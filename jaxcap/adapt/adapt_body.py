@@ -219,9 +219,10 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
 
     def known(number: int) -> list[Pose]:
         # candidates: the poses of this frame and the next one from before this stage
-        return [own[n] for n in there[number : number + 2]]
+        return [own[n] for n in there[number : min(number + 2, num_known)]]
 
-    own = state.motion
+    # the other poses are interpolated before the first stage of tracking
+    own, num_known = state.motion, len(there) if state.done > 1 else NUM_SIZE_FRAMES
     worth = MIN_FLIP_GAIN if stage.name == "turn" else 0.0
     frames = track_frames(
         make_task_tracker(task, state.body),

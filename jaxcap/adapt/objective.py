@@ -164,8 +164,13 @@ def pose_energy(prior: AbstractEnergy, body: Body, poses: Pose) -> float:
 
 def symmetry_energy(skeleton: Skeleton, left_right_pairs: Sequence[tuple[int, int]]) -> float:
     """Sum the squared differences of paired bones' lengths (eq. 4.13)."""
+    return float(_symmetry_energy(skeleton, tuple(left_right_pairs)))
+
+
+@eqx.filter_jit
+def _symmetry_energy(skeleton: Skeleton, left_right_pairs: tuple[tuple[int, int], ...]) -> Float[Array, ""]:
     differences, _ = length_differences(skeleton, left_right_pairs)
-    return float(jnp.sum(differences**2))
+    return jnp.sum(differences**2)
 
 
 def motion_energy(skeleton: Skeleton, motion: Motion, excluded: Collection[int] = ()) -> float:
@@ -186,6 +191,7 @@ def balancing_weight(data: float, term: float) -> float:
     return data / term if term > 1e-12 else 0.0
 
 
+@eqx.filter_jit
 def temporal_energy(
     skeleton: Skeleton, poses: Pose, intervals: Float[Array, "G"] | None = None
 ) -> Float[Array, ""]:
