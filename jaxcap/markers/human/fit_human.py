@@ -36,7 +36,7 @@ from .check_person import (
 from .describe_human import describe_child, describe_frames, describe_human
 from .further_markers import attach_further_markers
 from .human_template import HumanTemplate, make_human_template
-from .misplaced_markers import find_misplaced
+from .misplaced_markers import constant_residuals, find_misplaced, place_where_seen
 from .rest_positions import RESOLUTION
 from .static_pose import append_static, static_weights, without_static
 
@@ -119,29 +119,34 @@ def fit_human(
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
     weights = None if static is None else static_weights(len(frames), num_frames)
-    prior, misplaced = template.prior, np.zeros(template.subject.num_markers, bool)
+    usual, prior = template.subject, template.prior
+    misplaced = np.zeros(usual.num_markers, bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
             landmarks,
             template.subject,
             skin=skin,
             num_frames=num_frames,
-            template_prior=prior,
+            template_prior=template.prior,
             frames_per_observation=share,
             frame_weights=weights,
             max_deviation_ratio=MAX_DEVIATION_RATIO,
             terms=terms,
         )
-        further_off = find_misplaced(found, landmarks, template.prior.placements) & ~misplaced
-        misplaced |= further_off
+        residuals = constant_residuals(found, landmarks)
+        further_off = find_misplaced(residuals, np.asarray(usual.bones), prior.placements) & ~misplaced
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
-        placements = np.where(misplaced, MISPLACED_DEVIATION, template.prior.placements)
-        prior = eqx.tree_at(lambda p: p.placements, template.prior, placements)
+        misplaced |= further_off
+        placements = np.where(misplaced, MISPLACED_DEVIATION, prior.placements)
+        template = template._replace(
+            subject=place_where_seen(usual, found.subject, residuals, misplaced),
+            prior=eqx.tree_at(lambda p: p.placements, prior, placements),
+        )
     if static is not None:
         found, frames = without_static(found), frames[slice(0, -1)]
     check_explained(found.lost, frames.labels)
-    traits, subject = complete_skeleton(template._replace(prior=prior), found)
+    traits, subject = complete_skeleton(template, found)
     further = attach_further_markers(subject, found.motion, found.lost, frames, known)
     body = human_from_traits(traits, RESOLUTION, "tracking")
     return HumanFit(

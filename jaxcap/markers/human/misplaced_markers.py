@@ -1,12 +1,15 @@
 """Markers that are not where their labels say: on another landmark, or far from it."""
 
+import equinox as eqx
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from ...observe.markers import MarkerFrames
 from ..calibration.calibrate import Calibration
 from ..motion.inverse_kinematics import marker_residuals_of_frames
 from ..motion.label_matching import match_markers
+from ..subject import Subject
 
 #: least distance from the landmark, in standard deviations of the placement, and metres
 MIN_RATIO, MIN_OFFSET = 2.5, 0.025
@@ -14,20 +17,46 @@ MIN_RATIO, MIN_OFFSET = 2.5, 0.025
 WORST_SHARE = 0.6
 
 
-def find_misplaced(
-    found: Calibration, frames: MarkerFrames, placements: Float[np.ndarray, "M"]
-) -> Bool[np.ndarray, "M"]:
-    """Find the markers with a constant residual on their bones that no usual placement explains.
-
-    A prior that is too narrow holds such a marker away from where it is seen, and the poses with it.
-    """
+def constant_residuals(found: Calibration, frames: MarkerFrames) -> Float[np.ndarray, "M 3"]:
+    """Compute the median residual of each marker in the rest frame of its bone, metres; zero for one that is never visible."""
     matched = match_markers(found.subject, frames)
     residuals = np.asarray(
         marker_residuals_of_frames(found.subject, found.motion.poses, matched.positions), float
     )
     seen = np.asarray(matched.seen) & ~found.lost[:, None]
-    offsets = np.zeros(len(placements))
+    medians = np.zeros(residuals.shape[1:])
     for marker in np.flatnonzero(seen.any(0)):
-        offsets[marker] = np.linalg.norm(np.median(residuals[seen[:, marker], marker], axis=0))
+        medians[marker] = np.median(residuals[seen[:, marker], marker], axis=0)
+    return medians
+
+
+def find_misplaced(
+    residuals: Float[np.ndarray, "M 3"], bones: Int[np.ndarray, "M"], placements: Float[np.ndarray, "M"]
+) -> Bool[np.ndarray, "M"]:
+    """Find the markers with a constant residual on their bones that no usual placement explains, at most one of each bone.
+
+    A prior that is too narrow keeps such a marker away from where it is seen, and pulls the pose of its bone with it, so that
+    other markers of the bone seem to be misplaced too.
+    """
+    offsets = np.linalg.norm(residuals, axis=1)
     far = offsets > np.maximum(MIN_RATIO * placements, MIN_OFFSET)
-    return far & (offsets >= WORST_SHARE * np.max(offsets, where=far, initial=0.0))
+    largest = np.zeros(int(bones.max(initial=0)) + 1)
+    np.maximum.at(largest, bones, np.where(far, offsets, 0.0))
+    return far & (offsets >= largest[bones]) & (offsets >= WORST_SHARE * largest.max())
+
+
+def place_where_seen(
+    template: Subject,
+    found: Subject,
+    residuals: Float[np.ndarray, "M 3"],
+    misplaced: Bool[np.ndarray, "M"],
+) -> Subject:
+    """Move the misplaced markers of a template to where they are seen relative to the joints of their bones.
+
+    From the landmark of its label such a marker would have no influence, as an outlier, and would stay there.
+    """
+    bones = np.asarray(template.bones)
+    before, after = (np.asarray(subject.skeleton.centres, float)[bones] for subject in (template, found))
+    seen = np.asarray(found.offsets, float) + residuals - after + before
+    offsets = np.where(misplaced[:, None], seen, np.asarray(template.offsets, float))
+    return eqx.tree_at(lambda s: s.offsets, template, jnp.asarray(offsets, template.offsets.dtype))
