@@ -1,7 +1,7 @@
 """Checks that markers are those of one person, with left and right as labelled."""
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ...body.pose import Motion
 from ...errors import InputError
@@ -130,9 +130,10 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
         )
 
 
-def check_explained(lost: np.ndarray, labels: tuple[str, ...]) -> None:
-    """Check that poses of one person explain most frames. Raises `InputError`."""
-    share = float(np.mean(lost))
+def check_explained(lost: Bool[np.ndarray, "F"], frames: MarkerFrames) -> None:
+    """Check that poses of one person explain most of the frames that have enough markers for a pose. Raises `InputError`."""
+    enough, labels = np.asarray(frames.visible).sum(1) >= MIN_MARKERS, frames.labels
+    share = float(np.mean(lost[enough] if enough.any() else lost))
     if share > MAX_LOST_SHARE:
         raise InputError(
             f"No pose of a person explains {100 * share:.0f} % of the frames: are these markers of two people, of an object, or "

@@ -145,7 +145,7 @@ def fit_human(
         )
     if static is not None:
         found, frames = without_static(found), frames[slice(0, -1)]
-    check_explained(found.lost, frames.labels)
+    check_explained(found.lost, frames)
     traits, subject = complete_skeleton(template, found)
     further = attach_further_markers(subject, found.motion, found.lost, frames, known)
     body = human_from_traits(traits, RESOLUTION, "tracking")

@@ -12,7 +12,12 @@ from jaxcap.body.pose import Motion
 from jaxcap.errors import InputError
 from jaxcap.markers.human.body_lengths import SegmentLength, adult_percentile, describe_lengths
 from jaxcap.markers.human.body_size import estimate_size, person_of_size
-from jaxcap.markers.human.check_person import check_recognised, check_sides, find_doubled_labels
+from jaxcap.markers.human.check_person import (
+    check_explained,
+    check_recognised,
+    check_sides,
+    find_doubled_labels,
+)
 from jaxcap.markers.human.fit_human import fit_human
 from jaxcap.markers.human.further_markers import attach_further_markers
 from jaxcap.markers.human.human_template import make_human_template
@@ -263,6 +268,18 @@ def test_markers_of_no_person_are_refused():
     frames = MarkerFrames(np.zeros((2, 8, 3)), np.ones((2, 8), bool), labels, 30.0)
     with pytest.raises(InputError, match="0 of 8 markers have labels"):
         check_recognised(recognise_markers(labels), frames)
+
+
+def test_frames_without_markers_are_no_evidence_against_a_person():
+    """A file may have markers in a part of its frames only."""
+    visible = np.zeros((100, 12), bool)
+    visible[:30] = True
+    frames = MarkerFrames(np.zeros((100, 12, 3)), visible, tuple(map(str, range(12))), 100.0)
+    lost = ~visible[:, 0]
+    check_explained(lost, frames)
+    lost[10:] = True
+    with pytest.raises(InputError, match="explains 67 % of the frames"):
+        check_explained(lost, frames)
 
 
 def test_labels_of_two_markers_of_one_joint_are_those_of_one_person():
