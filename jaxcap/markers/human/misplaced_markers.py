@@ -11,8 +11,11 @@ from ..motion.inverse_kinematics import marker_residuals_of_frames
 from ..motion.label_matching import match_markers
 from ..subject import Subject
 
-#: least distance from the landmark, in standard deviations of the placement, and metres
-MIN_RATIO, MIN_OFFSET = 2.5, 0.025
+#: least distance from the landmark, in standard deviations of the placement, and metres; markers that are farther than the second
+#: distance, metres, are outliers of any placement
+MIN_RATIO, MIN_OFFSET, MAX_OFFSET = 2.5, 0.025, 0.05
+#: standard deviation of a placement, metres, from which on a marker is anywhere on its bone, such as one of a plate
+WIDE_PLACEMENT = 0.05
 #: markers with at least this share of the largest distance are found at once, as others may be led astray by them
 WORST_SHARE = 0.6
 
@@ -33,16 +36,18 @@ def constant_residuals(found: Calibration, frames: MarkerFrames) -> Float[np.nda
 def find_misplaced(
     residuals: Float[np.ndarray, "M 3"], bones: Int[np.ndarray, "M"], placements: Float[np.ndarray, "M"]
 ) -> Bool[np.ndarray, "M"]:
-    """Find the markers with a constant residual on their bones that no usual placement explains, at most one of each bone.
+    """Find the markers with a constant residual on their bones that no usual placement explains, at most one at a landmark of each
+    bone.
 
     A prior that is too narrow keeps such a marker away from where it is seen, and pulls the pose of its bone with it, so that
     other markers of the bone seem to be misplaced too.
     """
     offsets = np.linalg.norm(residuals, axis=1)
-    far = offsets > np.maximum(MIN_RATIO * placements, MIN_OFFSET)
+    far = offsets > np.clip(MIN_RATIO * placements, MIN_OFFSET, MAX_OFFSET)
     largest = np.zeros(int(bones.max(initial=0)) + 1)
     np.maximum.at(largest, bones, np.where(far, offsets, 0.0))
-    return far & (offsets >= largest[bones]) & (offsets >= WORST_SHARE * largest.max())
+    is_worst = (offsets >= largest[bones]) | (placements >= WIDE_PLACEMENT)
+    return far & is_worst & (offsets >= WORST_SHARE * largest.max())
 
 
 def place_where_seen(
