@@ -35,6 +35,8 @@ _LOG = logging.getLogger(__name__)
 
 #: number of frames from which the actor's size is estimated
 NUM_SIZE_FRAMES = 3
+#: steps of each frame's own pose at the end: of poses that were tracked, and of those that were adapted with the body
+TRACKED_STEPS, ADAPTED_STEPS = 5, 2
 #: share of the weights that balance the pose prior and second differences with the data (eqs. 4.15 and 4.16):
 #: the full weights roll forearms towards rest until hands are flipped, and oversmooth motions
 BALANCE_SHARE = 0.1
@@ -274,7 +276,9 @@ def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> 
     while state.within < len(there):
         some = there[state.within :][: every or None]
         poses = {n: state.motion[n] for n in there}
-        found = fit_task_poses(task, state, (task.scan(n) for n in some), (poses[n] for n in some), steps=5)
+        steps = ADAPTED_STEPS if set(some) <= set(state.chosen) else TRACKED_STEPS
+        scans, starts = (task.scan(n) for n in some), (poses[n] for n in some)
+        found = fit_task_poses(task, state, scans, starts, steps=steps)
         poses |= {n: fit.pose for n, fit in zip(some, found, strict=True)}
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):

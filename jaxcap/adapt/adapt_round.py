@@ -34,7 +34,7 @@ TANGENTIAL_WEIGHT = 0.005
 #: damping of a step on all poses and modes, as a share of each curvature
 DAMPING = 1e-3
 #: steps of each chosen frame's own pose before the first round; each round takes one more, on all unknowns
-STEPS = 3
+STEPS = 2
 
 
 def adapt_round(
