@@ -195,7 +195,10 @@ def _correct_flips_unordered(task: AdaptTask, state: AdaptState, stage: Stage, e
         for n in some:
             cloud = task.cloud(n)
             (turned,) = flip_limb_ends(tracker, [cloud], [poses[n]])
-            poses[n] = likelier_pose(tracker, poses[n], turned, cloud)
+            before, poses[n] = poses[n], likelier_pose(tracker, poses[n], turned, cloud)
+            if poses[n] is not before:
+                # the body was not adapted in this pose
+                state = state._replace(chosen=())
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state
@@ -206,10 +209,10 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
     """Track all frames, or the first ones, and search for lost poses.
 
     A frame keeps its pose if the tracker finds none that explains it better. If the body was adapted to all frames and explains
-    them, no frame is tracked.
+    them, no frame is tracked, unless a `start` is given.
     """
     there, passed = task.frames_of(stage), state.within
-    if not passed and _is_adapted_to(task, state, there):
+    if start is None and not passed and _is_adapted_to(task, state, there):
         state = flag_frames(task, state)
         return append_history(task, state, str(stage), select_evenly(there))
     if task.settings.unordered:

@@ -97,6 +97,15 @@ def test_scans_that_the_body_was_adapted_to_are_not_tracked_again(scene):
         assert np.abs(np.asarray(tracked.motion.poses.rotations - kept.motion.poses.rotations)).max() > 1e-3
 
 
+def test_flipped_hands_are_tracked_again_in_scans_that_the_body_was_adapted_to(scene, monkeypatch):
+    monkeypatch.setattr(loop, "flip_limb_ends", lambda tracker, clouds, poses: scene[2][:3])
+    task, before = before_stage(scene, "turn")
+    before = before._replace(chosen=tuple(range(task.num_frames)))
+    (found,) = stage_of(task, before)
+    assert found.chosen == ()
+    assert np.abs(np.asarray(found.motion.poses.rotations - before.motion.poses.rotations)).max() > 1e-3
+
+
 def test_lost_and_missing_frames_are_told_from_any_piece_on(scene):
     """Also those before the piece that is gone on from."""
     noise = np.random.default_rng(3).uniform(-1.0, 1.0, (600, 3))

@@ -119,8 +119,8 @@ def fit_human(
     # a single frame is an observation too
     share = float(min(FRAMES_PER_OBSERVATION, num_frames, len(frames)))
     weights = None if static is None else static_weights(len(frames), num_frames)
-    usual, prior = template.subject, template.prior
-    misplaced = np.zeros(usual.num_markers, bool)
+    at_landmarks, bones = template, np.asarray(template.subject.bones)
+    misplaced = np.zeros(len(bones), bool)
     for number in range(MAX_CALIBRATIONS):
         found = calibrate(
             landmarks,
@@ -134,14 +134,15 @@ def fit_human(
             terms=terms,
         )
         residuals = constant_residuals(found, landmarks)
-        further_off = find_misplaced(residuals, np.asarray(usual.bones), prior.placements) & ~misplaced
+        others = np.where(misplaced[:, None], 0.0, residuals)
+        further_off = find_misplaced(others, bones, at_landmarks.prior.placements)
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
         misplaced |= further_off
-        placements = np.where(misplaced, MISPLACED_DEVIATION, prior.placements)
+        placements = np.where(misplaced, MISPLACED_DEVIATION, at_landmarks.prior.placements)
         template = template._replace(
-            subject=place_where_seen(usual, found.subject, residuals, misplaced),
-            prior=eqx.tree_at(lambda p: p.placements, prior, placements),
+            subject=place_where_seen(at_landmarks.subject, found.subject, residuals, misplaced),
+            prior=eqx.tree_at(lambda p: p.placements, at_landmarks.prior, placements),
         )
     if static is not None:
         found, frames = without_static(found), frames[slice(0, -1)]
