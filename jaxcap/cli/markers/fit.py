@@ -196,7 +196,10 @@ class Fit:
         try:
             check_recognised(recognise_markers(frames.labels), frames)
         except InputError as error:
-            say(f"--template none is used, which knows no people: {str(error).split('. Rename')[0]}")
+            say(
+                f"--template none is used, which knows no people: {str(error).split('. Rename')[0]}. If they are markers of a "
+                "person, give --template human, which finds landmarks by their geometry"
+            )
             return False
         return True
 
