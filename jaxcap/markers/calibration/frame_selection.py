@@ -9,6 +9,10 @@ from ..subject import Subject
 from .rotation_prior import mean_rotations
 
 
+class NoFrameFits(ValueError):
+    """No pose of a template fits the markers of any frame."""
+
+
 def choose_frames(
     subject: Subject,
     poses: Pose,
@@ -22,11 +26,11 @@ def choose_frames(
     joint without visible markers counts as at its mean. Frames with fewer than half of the median number of
     visible markers come last.
 
-    **Raises:** `ValueError` where no frame is usable.
+    **Raises:** `NoFrameFits` where no frame is usable.
     """
     usable = np.asarray(usable) & (used.sum(1) >= 3)
     if not usable.any():
-        raise ValueError(
+        raise NoFrameFits(
             "No frame has three visible markers that fit the template; check the labels, the unit and the "
             "template."
         )

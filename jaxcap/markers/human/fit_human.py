@@ -18,6 +18,7 @@ from ...observe.markers import MarkerFrames
 from ..body_shape.shape_search import MAX_TRAITS, MIN_TRAITS, TRAIT_DEVIATIONS
 from ..calibration.calibrate import Calibration, calibrate
 from ..calibration.calibration_parameters import shared_parameters
+from ..calibration.frame_selection import NoFrameFits
 from ..marker_sets.recognise import MarkerSet, recognise_markers
 from ..segments.pair_distances import median_distances
 from ..segments.swaps import correct_swaps, describe_exchanges
@@ -122,7 +123,7 @@ def fit_human(
     at_landmarks, bones = template, np.asarray(template.subject.bones)
     misplaced = np.zeros(len(bones), bool)
     for number in range(MAX_CALIBRATIONS):
-        found = calibrate(
+        found = _calibrate(
             landmarks,
             template.subject,
             skin=skin,
@@ -171,6 +172,15 @@ def fit_human(
             *([f"{len(never)} markers are never visible: {', '.join(never[:10])}."] if never else []),
         ),
     )
+
+
+def _calibrate(frames: MarkerFrames, subject: Subject, **options) -> Calibration:
+    """Calibrate a person. Raises `InputError` if no pose of the person explains a frame."""
+    try:
+        return calibrate(frames, subject, **options)
+    except NoFrameFits:
+        check_explained(np.ones(len(frames), bool), frames)
+        raise
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:

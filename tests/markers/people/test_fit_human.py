@@ -282,6 +282,14 @@ def test_frames_without_markers_are_no_evidence_against_a_person():
         check_explained(lost, frames)
 
 
+def test_markers_of_two_people_under_one_name_are_refused():
+    frames, _ = seen(person(), count=24)
+    places = np.array(frames.positions)
+    places[:, ::2] += [1.5, 0.0, 0.0]
+    with pytest.raises(InputError, match="markers of two people"):
+        fit_human(MarkerFrames(places, frames.visible, frames.labels, frames.rate), num_frames=24)
+
+
 def test_labels_of_two_markers_of_one_joint_are_those_of_one_person():
     """Old files cut labels to four letters: both sides of a knee are `LKNE`. Markers of two people are far from each other."""
     frames, _ = seen(person(), count=8)
