@@ -213,8 +213,9 @@ def _track(task: AdaptTask, state: AdaptState, stage: Stage, every: int, start: 
     """
     there, passed = task.frames_of(stage), state.within
     if start is None and not passed and _is_adapted_to(task, state, there):
-        state = flag_frames(task, state)
-        return append_history(task, state, str(stage), select_evenly(there))
+        judged = flag_frames(task, state)
+        if _is_adapted_to(task, judged, there):
+            return append_history(task, judged, str(stage), select_evenly(there))
     if task.settings.unordered:
         return (yield from _find_unordered(task, state, stage, every))
     if not passed:

@@ -55,8 +55,8 @@ def adapt_round(
     if stage.pass_number == 0:
         body, poses, coefficients = _proportions(task, state, poses, pair_cache)
         # choose new frames for the adaptation of vertices, if there are others
-        others = stage.round == settings.proportion_rounds and set(task.scanned) - set(chosen)
-        chosen_next = () if others else chosen
+        is_last, others = stage.round == settings.proportion_rounds, set(task.scanned) - set(chosen)
+        chosen_next = () if is_last and others else chosen
     else:
         body, poses = _surface(task, state, poses, pair_cache, stage)
         coefficients, chosen_next = state.coefficients, chosen

@@ -13,7 +13,7 @@ from jaxcap.adapt import adapt_body as loop
 from jaxcap.adapt.adapt_body import adapt_body
 from jaxcap.adapt.objective import Terms
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.pose import stack_poses
+from jaxcap.body.pose import Motion, Pose, stack_poses
 from jaxcap.body.retraction import retract
 from jaxcap.cli.adapt.state import keep_state, load_resumed_state
 
@@ -95,6 +95,17 @@ def test_scans_that_the_body_was_adapted_to_are_not_tracked_again(scene):
         (tracked,) = stage_of(task, before._replace(**other))
         assert tracked.chosen == ()
         assert np.abs(np.asarray(tracked.motion.poses.rotations - kept.motion.poses.rotations)).max() > 1e-3
+
+
+def test_scans_that_the_body_does_not_explain_any_more_are_tracked_again(scene):
+    """Although none was lost when the body was adapted to them."""
+    task, before = before_stage(scene, "track")
+    poses = before.motion.poses
+    far = poses.translations.at[1].add(jnp.array([0.3, 0.0, 0.0]))
+    motion = Motion(Pose(far, poses.rotations, poses.scale), before.motion.rate)
+    (found,) = stage_of(task, before._replace(motion=motion, chosen=tuple(range(task.num_frames))))
+    assert found.chosen == () and 1 not in found.lost
+    np.testing.assert_allclose(found.motion.poses.translations[1], scene[2][1].translations, atol=0.02)
 
 
 def test_flipped_hands_are_tracked_again_in_scans_that_the_body_was_adapted_to(scene, monkeypatch):

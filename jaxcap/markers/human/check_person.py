@@ -132,13 +132,18 @@ def check_sides(template: Subject, known: MarkerSet, frames: MarkerFrames) -> No
 
 def check_explained(lost: Bool[np.ndarray, "F"], frames: MarkerFrames) -> None:
     """Check that poses of one person explain most of the frames that have enough markers for a pose. Raises `InputError`."""
-    enough, labels = np.asarray(frames.visible).sum(1) >= MIN_MARKERS, frames.labels
+    enough = np.asarray(frames.visible).sum(1) >= MIN_MARKERS
     share = float(np.mean(lost[enough] if enough.any() else lost))
     if share > MAX_LOST_SHARE:
-        raise InputError(
-            f"No pose of a person explains {100 * share:.0f} % of the frames: are these markers of two people, of an object, or "
-            f"with wrong labels or a wrong unit? The labels are {', '.join(labels[:8])}{', ...' if len(labels) > 8 else ''}."
-        )
+        raise unexplained_error(share, frames.labels)
+
+
+def unexplained_error(share: float, labels: tuple[str, ...]) -> InputError:
+    """Make the error about a share of the frames that no pose of a person explains."""
+    return InputError(
+        f"No pose of a person explains {100 * share:.0f} % of the frames: are these markers of two people, of an object, or "
+        f"with wrong labels or a wrong unit? The labels are {', '.join(labels[:8])}{', ...' if len(labels) > 8 else ''}."
+    )
 
 
 def stands_still(subject: Subject, motion: Motion) -> bool:

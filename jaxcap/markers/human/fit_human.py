@@ -33,6 +33,7 @@ from .check_person import (
     check_one_person,
     check_recognised,
     check_sides,
+    unexplained_error,
 )
 from .describe_human import describe_child, describe_frames, describe_human
 from .further_markers import attach_further_markers
@@ -137,9 +138,9 @@ def fit_human(
         residuals = constant_residuals(found, landmarks)
         others = np.where(misplaced[:, None], 0.0, residuals)
         further_off = find_misplaced(others, bones, at_landmarks.prior.placements)
+        misplaced |= further_off
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
-        misplaced |= further_off
         placements = np.where(misplaced, MISPLACED_DEVIATION, at_landmarks.prior.placements)
         template = template._replace(
             subject=place_where_seen(at_landmarks.subject, found.subject, residuals, misplaced),
@@ -179,8 +180,7 @@ def _calibrate(frames: MarkerFrames, subject: Subject, **options) -> Calibration
     try:
         return calibrate(frames, subject, **options)
     except NoFrameFits:
-        check_explained(np.ones(len(frames), bool), frames)
-        raise
+        raise unexplained_error(1.0, frames.labels) from None
 
 
 def complete_skeleton(template: HumanTemplate, found: Calibration) -> tuple[Traits, Subject]:
