@@ -33,8 +33,9 @@ from benchmarks.learning._learning import (
 )
 from benchmarks.report import finish, progress
 from jaxcap.body.skin import swing_twist_from
+from jaxcap.cli.learn.joints import evidence_of
 from jaxcap.fit.fit_meshes import fit_meshes
-from jaxcap.learn.anatomy.joint_evidence import describe_joints, joint_evidence
+from jaxcap.learn.anatomy.joint_evidence import describe_joints
 from jaxcap.learn.learn_body import Learned, learn_body
 from jaxcap.observe.meshes import MeshSequence
 from jaxcap.report.weights import skeleton_picture
@@ -91,7 +92,7 @@ def make_person(body: jc.Body, motion: jc.Motion, joints: dict[str, str], seed: 
 def learn_half(meshes: MeshSequence, rounds: int | None) -> Learned:
     """Learn with default options, and print the joints."""
     learned = learn_body(meshes, **({} if rounds is None else {"rounds": rounds}))
-    evidence = joint_evidence(learned.body.skeleton, learned.motion, learned.left_right_pairs, learned.given)
+    evidence = evidence_of(learned)
     for line in describe_joints(evidence, learned.given is not None):
         progress(f"    {line}")
     return learned
@@ -102,7 +103,7 @@ def common_figures(
 ) -> dict[str, float]:
     """Measure what needs no truth: lengths, agreement of the halves, and errors on the other half's meshes."""
     first, second = learned
-    evidence = [joint_evidence(a.body.skeleton, a.motion, a.left_right_pairs, a.given) for a in learned]
+    evidence = [evidence_of(each) for each in learned]
     fits = [fit_meshes(first.body, meshes[1]), fit_meshes(second.body, meshes[0])]
     names = [n for n in MAJOR if all(n in a.body.skeleton.names for a in learned)]
     differences = [
@@ -133,10 +134,17 @@ def _places(body: jc.Body, motion: jc.Motion, names: list[str]) -> Float[np.ndar
 
 
 def _twice(learned: Learned) -> int:
-    """Count major joints of the limbs that have another moving joint in the same place."""
+    """Count major joints of the limbs that have another moving joint in the same place.
+
+    The base of the fingers, at which hands of made people bend, is no second wrist, although it is near that of a small person.
+    """
     skeleton = learned.body.skeleton
     centres = np.asarray(skeleton.centres, float)
-    moving = [j for j, kind in enumerate(skeleton.kinds) if kind == "ball"]
+    moving = [
+        joint
+        for joint, (kind, name) in enumerate(zip(skeleton.kinds, skeleton.names, strict=True))
+        if kind == "ball" and not name.endswith("FingerBase")
+    ]
     rows = [skeleton.names.index(n) for n in MAJOR if n in skeleton.names and n != "Neck"]
     gaps = np.linalg.norm(centres[rows][:, None] - centres[moving], axis=2)
     return int(np.sum((gaps < TWICE).sum(1) > 1))

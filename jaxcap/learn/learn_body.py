@@ -20,6 +20,7 @@ from ..fit.precision import with_precision
 from ..geometry.laplacian import Conformance, make_conformance
 from ..observe.meshes import MeshSequence
 from .anatomy.choose_skeleton import SkeletonName, choose_skeleton
+from .anatomy.close_joints import close_joints
 from .anatomy.find_person import PlacedPerson
 from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
 from .initialise import (
@@ -387,6 +388,7 @@ def _improve_joints(state: LearnState, stage: _Stage, steps: int) -> LearnState:
             given_centres=state.given,
             terms=stage.terms,
             planes=middle,
+            close=close_joints(state.body.skeleton),
         )
         state = state._replace(
             body=found.body,

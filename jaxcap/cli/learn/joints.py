@@ -2,6 +2,7 @@
 
 from ...learn.anatomy.joint_evidence import JointEvidence, describe_joints, far_joints, joint_evidence
 from ...learn.learn_body import Learned
+from ...learn.skeleton.joint_centre_prior import rotation_that_determines
 from ..console.console import say, warn
 
 
@@ -20,4 +21,7 @@ def say_joints(learned: Learned) -> None:
 
 def evidence_of(learned: Learned) -> JointEvidence:
     """Collect what the meshes show of the joints of a learned body."""
-    return joint_evidence(learned.body.skeleton, learned.motion, learned.left_right_pairs, learned.given)
+    body = learned.body
+    variance = learned.history[-1][1] / (len(learned.motion) * body.vertices.size)
+    least = rotation_that_determines(body, variance)
+    return joint_evidence(body.skeleton, learned.motion, learned.left_right_pairs, learned.given, least)

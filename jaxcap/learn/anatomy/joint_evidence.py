@@ -8,7 +8,8 @@ from jaxtyping import Bool, Float, Int
 from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ..skeleton.joint_centre_prior import GivenCentres, given_pull, motion_information
+from ..skeleton.joint_centre_prior import MIN_ROTATION_GIVEN, GivenCentres, given_pull, motion_information
+from .close_joints import hidden_joints
 
 #: share of the meshes in the position of a joint, across the direction that they determine least, above which they determine it
 MIN_SHARE = 0.5
@@ -52,19 +53,23 @@ def joint_evidence(
     motion: Motion,
     pairs: Int[np.ndarray, "P 2"],
     given: GivenCentres | None = None,
+    least: float = MIN_ROTATION_GIVEN,
 ) -> JointEvidence:
     """Collect the lengths of bones and the rotations of joints over the meshes.
 
     A joint that rotates about one axis or more determines its centre in two directions. It is `determined` if the meshes
     weigh more there than the prior at the given position does.
 
-    **Arguments:** `pairs` of left and right joints; `given` are the positions of the prior, on the rest pose of the skeleton.
+    **Arguments:** `pairs` of left and right joints; `given` are the positions of the prior, on the rest pose of the skeleton;
+    `least` mean squared rotation, squared radians, that determines a centre (`rotation_that_determines`).
     """
     centres, parents = np.asarray(skeleton.centres, float), np.array(skeleton.parents)
     joints = np.flatnonzero(parents >= 0)
     _, values, _ = motion_information(motion.poses)
     information = np.maximum(values[:, 1], 0.0)
-    shares = information / (information + given_pull(information))
+    weakest = np.full(len(parents), least)
+    weakest[list(hidden_joints(skeleton))] = MIN_ROTATION_GIVEN
+    shares = information / (information + given_pull(information, weakest))
     if given is not None and given.is_fixed:
         shares = np.zeros(len(parents))
     before = centres if given is None else np.asarray(given.centres, float)

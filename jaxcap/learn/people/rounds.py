@@ -11,6 +11,7 @@ from jaxtyping import Int
 from ...body.pose import take_poses
 from ...compiled import forget_many_compiled
 from ...geometry.laplacian import Conformance, make_conformance
+from ..anatomy.close_joints import close_joints
 from ..objective import objective
 from ..skeleton.carry_given import carry_given
 from ..skeleton.joints import Curvature, improve_joints, make_curvature
@@ -113,5 +114,6 @@ def improve_joints_of(person: Person, mesh: MeshMetric, pairs: Int[np.ndarray, "
         given_centres=person.given,
         free_orientations=False,
         frame_weights=person.frame_weights,
+        close=close_joints(person.body.skeleton),
     )
     return person._replace(body=found.body, poses=found.poses, damping=found.damping, value=found.value)

@@ -1,4 +1,4 @@
-"""Priors on joint centres that the motion does not determine.
+"""Priors on joint centres, and on rotations, that the motion does not determine.
 
 The prior mean is the centre in a given skeleton, or the middle of the cut between the parts that a joint
 connects.
@@ -7,21 +7,31 @@ connects.
 from typing import NamedTuple, TypeVar
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ...body.body import Body
-from ...body.pose import Pose
+from ...body.pose import Pose, rest_pose
+from ...body.retraction import difference
+from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
+from ..anatomy.close_joints import hidden_joints, hinges
 
 #: mean squared rotation, squared radians, below which a motion does not determine a centre: (1 degree)²
 MIN_ROTATION = 0.02**2
-#: the same with a given skeleton: (17 degrees)²
+#: the same with a given skeleton and rough data: (17 degrees)²
 MIN_ROTATION_GIVEN = 0.3**2
+#: data are rough if the residual of a coordinate, root mean square, is more than this share of the body's diagonal; with finer
+#: data, smaller rotations determine a centre
+ROUGH = 0.02
 #: weight of a fixed centre, relative to the information of a rotation by one radian
 FIXED_WEIGHT = 1e4
+#: with a given skeleton, a rotation from rest costs this share of what it costs to move the vertices below the joint by
+#: as much at a distance of `LEVER` times the body's diagonal
+ROTATION_WEIGHT, LEVER = 1e-3, 0.05
 #: damping of a centre relative to the weight of its prior
 DAMPING = 30.0
 #: radii of its cut within which a centre is not penalised
@@ -31,23 +41,45 @@ EXACT = 3e-4
 
 
 class JointCentrePrior(eqx.Module):
-    """A quadratic prior on joint centres along directions that their motion does not determine.
+    """A quadratic prior on joint centres along directions that their motion does not determine, and on rotations.
 
     A hinge does not determine the centre along its axis, and a joint that hardly rotates determines nothing.
     There the prior decides: the middle of the cut, or the centre in a given skeleton. Across a hinge, and
-    where joints rotate freely, the prior is hundreds of times weaker than the data. The prior of a cut fades
-    for exact data.
+    where joints rotate freely, the prior is hundreds of times weaker than the data. It fades for exact data.
+
+    Several joints of a limb share a rotation that only one of them has to make: about the axis of a forearm, elbow and wrist.
+    With a given skeleton, a weak prior at rest keeps each from making far too much of it.
     """
 
     means: Float[Array, "J 3"]
-    #: weight of the prior along each direction, relative to the information of a rotation by one radian; zero
-    #: for roots and where the parts of a joint do not touch
+    #: weight of the prior along each direction, in numbers of vertices: a centre at some distance from its mean costs as much as
+    #: this many vertices at this distance; zero for roots and where the parts of a joint do not touch
     weights: Float[Array, "J 3 3"]
     #: damping towards the current centre in the same unit: without information, even a weak misfit would move
     #: a centre far over many steps
     damping: Float[Array, "J 3 3"]
-    #: information of the motion along each direction, in the same unit
-    information: Float[Array, "J 3 3"]
+    #: weight of a squared rotation from rest in each mesh, vertices times metres squared
+    rotations: Float[Array, "F J"]
+
+    def energy(self, centres: Float[Array, "J 3"]) -> Float[Array, ""]:
+        """Compute half the weighted squares of the distances of centres from their means, metres squared."""
+        away = centres - self.means
+        return 0.5 * jnp.einsum("ja,jab,jb->", away, self.weights, away)
+
+    def rotation_energy(self, skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
+        """Compute half the weighted squares of the rotations of ball joints from rest in all poses, metres squared."""
+        stiffness, back = self.rotations_to_rest(skeleton, poses)
+        return 0.5 * jnp.sum(stiffness * back**2)
+
+    def rotations_to_rest(
+        self, skeleton: Skeleton, poses: Pose
+    ) -> tuple[Float[Array, "F D"], Float[Array, "F D"]]:
+        """Return the weight of each degree of freedom of a pose, zero but for ball joints, and the steps that lead to rest."""
+        balls = np.array([kind == "ball" for kind in skeleton.kinds])
+        slots = dof_layout(skeleton).rotations[balls]
+        stiffness = jnp.zeros((len(self.rotations), skeleton.num_dofs), self.rotations.dtype)
+        stiffness = stiffness.at[:, slots].set(self.rotations[:, balls, None])
+        return stiffness, jax.vmap(difference, (None, 0, None))(skeleton, poses, rest_pose(skeleton))
 
 
 class GivenCentres(NamedTuple):
@@ -78,36 +110,84 @@ def replace_centres(given: Given, centres: Float[Array, "J 3"]) -> Given:
 
 
 def given_centre_prior(
-    body: Body, poses: Pose, given: GivenCentres, frame_weights: Float[Array, "F"] | None = None
+    body: Body,
+    poses: Pose,
+    given: GivenCentres,
+    variance: float,
+    frame_weights: Float[Array, "F"] | None = None,
 ) -> JointCentrePrior:
-    """Build anchors at the joint centres of a given skeleton: a prior, or fixed centres.
+    """Build anchors at the joint centres of a given skeleton, a prior or fixed centres, and at the rotations of its rest.
 
     Bones that share their vertices with the next ones, such as those of a spine, have no cut, and would
     otherwise drift along the limb.
+
+    **Arguments:** `variance` of a coordinate's error, squared metres: the finer the data, the smaller are the rotations that
+    determine a centre, but for `hidden_joints`, and for `hinges` along their axes.
     """
-    information, values, axes = motion_information(poses, frame_weights)
-    pull = given_pull(np.maximum(values, 0.0))
-    weights = (
-        np.full_like(information, FIXED_WEIGHT) * np.eye(3)
-        if given.is_fixed
-        else np.einsum("jab,jb,jcb->jac", axes, pull, axes)
+    _, values, axes = motion_information(poses, frame_weights)
+    least = np.full(values.shape, rotation_that_determines(body, variance))
+    least[list(hidden_joints(body.skeleton))] = MIN_ROTATION_GIVEN
+    # the first direction is the one in which the motion shows the centre least
+    least[list(hinges(body.skeleton)), 0] = MIN_ROTATION_GIVEN
+    pull = given_pull(np.maximum(values, 0.0), least)
+    weights = np.einsum(
+        "jab,jb,jcb->jac", axes, np.full_like(pull, FIXED_WEIGHT) if given.is_fixed else pull, axes
     )
-    weights *= (np.array(body.skeleton.parents) >= 0)[:, None, None]
+    return _given_prior(body, given.centres, weights, len(poses.rotations), frame_weights)
+
+
+def fixed_centre_prior(
+    body: Body, num_frames: int, frame_weights: Float[Array, "F"] | None = None
+) -> JointCentrePrior:
+    """Build anchors that keep all centres of a body where they are."""
+    weights = np.broadcast_to(FIXED_WEIGHT * np.eye(3), (body.skeleton.num_joints, 3, 3))
+    return _given_prior(body, body.skeleton.centres, weights, num_frames, frame_weights)
+
+
+def _given_prior(
+    body: Body, centres: Array, weights: np.ndarray, num_frames: int, frame_weights: Array | None
+) -> JointCentrePrior:
+    counts = vertices_below(body) * (np.array(body.skeleton.parents) >= 0)
+    frames = _frame_weights(num_frames, frame_weights)
+    weights = (frames.sum() * counts)[:, None, None] * weights
+    stiffness = ROTATION_WEIGHT * (LEVER * diagonal(body)) ** 2 * np.outer(frames, counts)
     dtype = body.vertices.dtype
-    return JointCentrePrior(
-        *(jnp.asarray(field, dtype) for field in (given.centres, weights, weights, information))
-    )
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (centres, weights, weights, stiffness)))
 
 
-def given_pull(information: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
-    """Compute the weight of the prior at a given centre, by the mean squared rotation that determines it; both weigh the same
-    at 13 degrees."""
-    return _pull(information, MIN_ROTATION_GIVEN)
+def rotation_that_determines(body: Body, variance: float) -> float:
+    """Compute the mean squared rotation, squared radians, above which data with an error determine a centre better than a
+    given skeleton does.
+
+    **Arguments:** `variance` of a coordinate's error, squared metres.
+    """
+    share = min(1.0, float(np.sqrt(variance)) / (ROUGH * diagonal(body)))
+    return max(share * MIN_ROTATION_GIVEN, MIN_ROTATION)
 
 
-def _pull(information: Float[np.ndarray, "..."], least: float) -> Float[np.ndarray, "..."]:
-    """Compute the weight of a prior that is `least` without information, and falls with it."""
+def given_pull(
+    information: Float[np.ndarray, "..."], least: Float[np.ndarray, "..."] | float = MIN_ROTATION_GIVEN
+) -> Float[np.ndarray, "..."]:
+    """Compute the weight of the prior at a given centre, by the mean squared rotation that determines it.
+
+    It is `least` without information, and falls with it; both weigh the same where the rotation is 0.79 times the root of
+    `least`.
+    """
     return least**2 / (information + least)
+
+
+def _frame_weights(count: int, weights: Float[Array, "F"] | None) -> Float[np.ndarray, "F"]:
+    return np.ones(count) if weights is None else np.asarray(weights, float)
+
+
+def vertices_below(body: Body) -> Int[np.ndarray, "J"]:
+    """Count the vertices of the parts below each joint."""
+    return body.skeleton.descendants[:, np.asarray(body.skin.dominant_bones())].sum(1)
+
+
+def diagonal(body: Body) -> float:
+    """Compute the diagonal of the bounding box of a body at rest, metres."""
+    return float(np.linalg.norm(np.ptp(np.asarray(body.vertices, float), axis=0)))
 
 
 def boundary_centre_prior(
@@ -136,14 +216,16 @@ def boundary_centre_prior(
     radii = MAX_RADII * np.sqrt(np.maximum(squares, 0.0)) + 1e-12
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
     information, values, axes = motion_information(poses, frame_weights)
-    pull = _pull(np.maximum(values, 0.0), MIN_ROTATION)
-    doubt = variance / (variance + (EXACT * np.linalg.norm(np.ptp(rest, axis=0))) ** 2)
+    pull = given_pull(np.maximum(values, 0.0), MIN_ROTATION)
+    doubt = variance / (variance + (EXACT * diagonal(body)) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     beyond = np.einsum("jaa->j", information) / 3 * np.maximum(away / radii - 1, 0.0)
     back = beyond[:, None, None] * np.eye(3)
-    hold, weights = (((share * weights) + back) * (count > 0)[:, None, None] for share in (DAMPING, 1.0))
-    dtype = body.vertices.dtype
-    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, information)))
+    frames = _frame_weights(len(poses.rotations), frame_weights)
+    scale = (frames.sum() * vertices_below(body) * (count > 0))[:, None, None]
+    hold, weights = (scale * (share * weights + back) for share in (DAMPING, 1.0))
+    dtype, free = body.vertices.dtype, np.zeros((len(frames), len(scale)))
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, free)))
 
 
 def motion_information(
@@ -152,7 +234,7 @@ def motion_information(
     """Compute the information of each joint's motion on its centre, with eigenvalues and axes; weights as of `objective`."""
     # a constant rotation could also be part of the rest shape
     turns = np.asarray(rotation.to_matrix(poses.rotations), float)
-    weights = np.ones(len(turns)) if frame_weights is None else np.asarray(frame_weights, float)
+    weights = _frame_weights(len(turns), frame_weights)
     shares = weights / weights.sum()
     deviations = turns - np.einsum("f,fjab->jab", shares, turns)
     information = np.einsum("f,fjab,fjac->jbc", shares, deviations, deviations)

@@ -35,7 +35,14 @@ from ...geometry.laplacian import (
     make_patch_laplacian,
 )
 from ..objective import objective
-from .joint_centre_prior import GivenCentres, JointCentrePrior, boundary_centre_prior, given_centre_prior
+from .centre_constraints import KeptBones, MiddlePlanes, kept_bones, middle_planes
+from .joint_centre_prior import (
+    GivenCentres,
+    JointCentrePrior,
+    boundary_centre_prior,
+    fixed_centre_prior,
+    given_centre_prior,
+)
 
 #: the least number of vertices from which the curvature is estimated
 SAMPLES = 4000
@@ -65,14 +72,6 @@ def make_curvature(metric: Conformance, samples: int = SAMPLES) -> Curvature:
     return Curvature(jnp.asarray(vertices), make_patch_laplacian(metric, vertices), weight)
 
 
-class MiddlePlanes(eqx.Module):
-    """Planes in which the centres of joints on the middle of the body stay."""
-
-    normals: Float[Array, "M 3"]
-    points: Float[Array, "M 3"]
-    joints: tuple[int, ...] = eqx.field(static=True)
-
-
 class JointState(eqx.Module):
     """Joint centres and orientations at rest, and the poses."""
 
@@ -88,7 +87,7 @@ class JointProblem(AbstractPosesAndShared[JointState]):
     has twist axes, two parameters of its orientation (a roll about the twist axis has no effect). The bones
     of `left_right_pairs` of joints stay equally long, the limit of the paper's heavily weighted `lambda
     Q_sym` (eqs. 3.23 to 3.26). Anchors damp steps along directions of a centre that no motion determines, and
-    pull with a `prior_strength`. They are not part of the objective.
+    pull with a `prior_strength`.
     """
 
     body: Body
@@ -100,6 +99,8 @@ class JointProblem(AbstractPosesAndShared[JointState]):
     terms: AbstractEnergy | None = None
     left_right_pairs: tuple[tuple[int, int], ...] = eqx.field(static=True, default=())
     middle_planes: MiddlePlanes | None = None
+    #: vectors between joints that are too close to each other to be moved by the motion
+    kept_bones: KeptBones | None = None
     #: whether the orientations of joints are unknowns
     free_orientations: bool = eqx.field(static=True, default=True)
     #: factors of the distances of each mesh
@@ -126,9 +127,15 @@ class JointProblem(AbstractPosesAndShared[JointState]):
         return eqx.tree_at(lambda b: b.skeleton, body, joints)
 
     def value(self, y: JointState) -> Float[Array, ""]:
-        return 0.5 * objective(
-            self.body_at(y), y.poses, self.targets, self.metric, self.terms, self.frame_weights
-        )
+        value, prior = 0.5 * self.value_of_data(y), self.centre_prior
+        if prior is None:
+            return value
+        rotations = prior.rotation_energy(self.body.skeleton, y.poses)
+        return value + self.prior_strength * (prior.energy(y.centres) + rotations)
+
+    def value_of_data(self, y: JointState) -> Float[Array, ""]:
+        """Evaluate Q with the user's energies."""
+        return objective(self.body_at(y), y.poses, self.targets, self.metric, self.terms, self.frame_weights)
 
     def retract(self, y: JointState, d: Unknowns) -> JointState:
         joints = self.body_at(y, d[1]).skeleton
@@ -154,7 +161,8 @@ class JointProblem(AbstractPosesAndShared[JointState]):
     def describe_constraints(self):
         lengths = ["bones of equal length"] if self.left_right_pairs else []
         middle = [] if self.middle_planes is None else ["joints on the middle"]
-        return " and ".join(lengths + middle) or None
+        kept = [] if self.kept_bones is None else ["bones that keep their vectors"]
+        return " and ".join(lengths + middle + kept) or None
 
     def information(self, y: JointState) -> ConstrainedInfo:
         body, slots = self.body_at(y), self.slots
@@ -162,18 +170,19 @@ class JointProblem(AbstractPosesAndShared[JointState]):
             body, y.poses, self.targets, self.metric, self.curvature, slots, self.frame_weights
         )
         if self.centre_prior is not None:
-            arrow, side = _add_centre_prior(
-                arrow, side, body.skeleton, self.centre_prior, slots, self.prior_strength
+            arrow, side = _add_prior(
+                arrow, side, body, y.poses, self.centre_prior, slots, self.prior_strength
             )
         if self.terms is not None:
             arrow, side = _add_energies(arrow, side, self.terms, y, self)
         differences, by_centre = length_differences(
             body.skeleton, np.array(self.left_right_pairs, int).reshape(-1, 2)
         )
-        if self.middle_planes is not None:
-            distances, slopes = plane_distances(y.centres, self.middle_planes)
-            differences = jnp.concatenate([differences, distances])
-            by_centre = jnp.concatenate([by_centre, slopes])
+        for constraint in (self.middle_planes, self.kept_bones):
+            if constraint is not None:
+                distances, slopes = constraint.differences(y.centres)
+                differences = jnp.concatenate([differences, distances])
+                by_centre = jnp.concatenate([by_centre, slopes])
         full = jnp.pad(by_centre, ((0, 0), (0, 0), (0, 3)))
         rows = full.reshape(len(differences), 6 * len(y.centres))[:, np.array(slots, int)]
         equalities = Equalities(rows, -differences) if len(rows) else None
@@ -207,39 +216,43 @@ def improve_joints(
     free_orientations: bool = True,
     frame_weights: Float[Array, "F"] | None = None,
     planes: MiddlePlanes | None = None,
+    close: tuple[tuple[int, int], ...] = (),
 ) -> JointStep:
     """Run some Levenberg-Marquardt steps on a `JointProblem` from Q = `value`; Q never rises.
 
     Components of a centre that no motion determines follow the `given_centres` skeleton or else the cut between
-    parts. If anchors that pull would raise Q, they only damp the motion of centres. Without `free_orientations`, joints keep
+    parts. If anchors that pull would raise Q, given centres stay where they are, and those of a cut only damp the motion of
+    centres. Without `free_orientations`, joints keep
     their orientations, which several bodies may share. `frame_weights` as of `objective`. Without given centres, joints stay in
-    `planes`.
+    `planes`. `close` pairs of joints keep the vectors between their given centres.
     """
     size = targets.size if frame_weights is None else targets[0].size * float(jnp.sum(frame_weights))
-    anchors = (
-        boundary_centre_prior(body, poses, metric, value / size, frame_weights)
-        if given_centres is None
-        else given_centre_prior(body, poses, given_centres, frame_weights)
-    )
+    if given_centres is None:
+        anchors = boundary_centre_prior(body, poses, metric, value / size, frame_weights)
+        tries = (anchors, 1.0), (anchors, 0.0)
+    else:
+        anchors = given_centre_prior(body, poses, given_centres, value / size, frame_weights)
+        tries = (anchors, 1.0), (fixed_centre_prior(body, len(targets), frame_weights), 1.0)
+        planes = middle_planes(given_centres)
+    kept = None if given_centres is None else kept_bones(given_centres, close, np.asarray(pairs))
     left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
-    planes = planes if given_centres is None else middle_planes(given_centres)
-    shares = jnp.asarray(damping, targets.dtype)
-    for strength in (1.0, 0.0):
-        strength = jnp.asarray(strength, targets.dtype)
+    first = shares = jnp.asarray(damping, targets.dtype)
+    for anchors, strength in tries:
         problem = JointProblem(
             body,
             targets,
             metric,
             curvature,
             anchors,
-            strength,
+            jnp.asarray(strength, targets.dtype),
             terms,
             left_right_pairs,
             planes,
+            kept,
             free_orientations,
             frame_weights,
         )
-        y, left, shares = _descend(problem, problem.start(poses), shares, steps)
+        y, left, shares = _descend(problem, problem.start(poses), first, steps)
         if float(left) < value:
             improved = problem.body_at(y)
             return JointStep(improved, y.poses, float(left), max(float(shares), MIN_DAMPING))
@@ -250,24 +263,7 @@ def improve_joints(
 def _descend(problem: JointProblem, start: JointState, damping: Float[Array, ""], steps: int):
     solver = LevenbergMarquardt(rtol=RTOL, relative=True)
     found = minimise(problem, start, solver, steps, damping)
-    return found.y, 2.0 * problem.value(found.y), found.damping
-
-
-def middle_planes(given: GivenCentres) -> MiddlePlanes | None:
-    """Build the planes of the joints on the middle; None if there are none."""
-    if given.normals is None:
-        return None
-    joints = np.flatnonzero(np.asarray(given.normals).any(1))
-    return MiddlePlanes(given.normals[joints], given.centres[joints], tuple(joints.tolist()))
-
-
-def plane_distances(
-    centres: Float[Array, "J 3"], planes: MiddlePlanes
-) -> tuple[Float[Array, "M"], Float[Array, "M J 3"]]:
-    """Compute the signed distances of centres from their planes, metres, and their derivatives by the centres."""
-    joints, rows = np.array(planes.joints, int), np.arange(len(planes.joints))
-    slopes = jnp.zeros((len(rows), *centres.shape), centres.dtype).at[rows, joints].set(planes.normals)
-    return jnp.sum((centres[joints] - planes.points) * planes.normals, 1), slopes
+    return found.y, problem.value_of_data(found.y), found.damping
 
 
 def shared_slots(body: Body, free_orientations: bool = True) -> tuple[int, ...]:
@@ -325,31 +321,26 @@ def normal_equations(
 
 
 @eqx.filter_jit
-def _add_centre_prior(
+def _add_prior(
     arrow: BlockArrow,
     side: Unknowns,
-    skeleton: Skeleton,
-    anchors: JointCentrePrior,
+    body: Body,
+    poses: Pose,
+    prior: JointCentrePrior,
     slots: tuple[int, ...],
     strength: float | Float[Array, ""],
 ) -> tuple[BlockArrow, Unknowns]:
-    """Add the anchors to the normal equations.
-
-    The damping is scaled by the curvature of the data per unit of information (a rotation of one radian). The
-    pull has the given strength.
-    """
+    """Add the prior on centres and rotations to the normal equations; its damping does not depend on its strength."""
+    skeleton = body.skeleton
     count, chosen = skeleton.num_joints, np.array(slots, int)
-    known = jnp.zeros(6 * count, arrow.shared.dtype).at[chosen].set(jnp.diag(arrow.shared))
-    total = jnp.sum(known.reshape(count, 6)[:, :3], 1)
-    information = jnp.trace(anchors.information, axis1=1, axis2=2)
-    measure = total / jnp.maximum(information, jnp.finfo(information.dtype).eps)
-    weights, hold = (measure[:, None, None] * some for some in (anchors.weights, anchors.damping))
-    pull = strength * jnp.einsum("jab,jb->ja", weights, anchors.means - skeleton.centres)
-    wide = jnp.zeros((count, 6, count, 6), weights.dtype)
-    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(hold).reshape(6 * count, 6 * count)
-    shared = arrow.shared + wide[chosen][:, chosen]
+    pull = strength * jnp.einsum("jab,jb->ja", prior.weights, prior.means - skeleton.centres)
+    wide = jnp.zeros((count, 6, count, 6), pull.dtype)
+    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(prior.damping)
+    shared = arrow.shared + wide.reshape(6 * count, 6 * count)[chosen][:, chosen]
+    stiffness, back = prior.rotations_to_rest(skeleton, poses)
+    frames = BlockBanded(arrow.frames.blocks.at[:, 0].add(strength * jax.vmap(jnp.diag)(stiffness)))
     pulled = side[1] + jnp.pad(pull, ((0, 0), (0, 3))).ravel()[chosen]
-    return BlockArrow(arrow.frames, arrow.coupling, shared), (side[0], pulled)
+    return BlockArrow(frames, arrow.coupling, shared), (side[0] + strength * stiffness * back, pulled)
 
 
 def _add_energies(

@@ -12,6 +12,8 @@ from ...geometry.procrustes import Moments, nearest_rotation, rigid_motions
 
 #: the most sweeps over the joints, and the relative decrease of the error at which they end
 SWEEPS, RTOL = 30, 1e-3
+#: parts with a smaller share of the mass begin with the rotation of their parents
+MIN_MASS_SHARE = 0.01
 
 _quaternions = jax.jit(rotation.from_matrix)
 
@@ -32,9 +34,10 @@ def fit_poses(skeleton: Skeleton, moments: Moments) -> Pose:
     turning = [j for j in range(count) if skeleton.kinds[j] in ("free", "ball")]
     free = [j for j in turning if KINDS[skeleton.kinds[j]][0] == 3 and parents[j] < 0]
     rotations, _ = rigid_motions(moments)
-    # parts without points, and fixed joints, follow their parents
+    # small parts, which hardly determine a rotation, and fixed joints first follow their parents
+    smallest = MIN_MASS_SHARE * moments.mass.sum()
     for j in range(count):
-        if moments.mass[j] <= 0 or j not in turning:
+        if moments.mass[j] <= smallest or j not in turning:
             rotations[j] = np.eye(3) if parents[j] < 0 else rotations[parents[j]]
     local = np.stack(
         [

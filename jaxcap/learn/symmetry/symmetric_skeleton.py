@@ -12,7 +12,7 @@ from ...body.body import Body
 from ...body.skeleton import Skeleton
 from ...body.symmetry import symmetrise
 from ...geometry.mesh import mesh_edges, vertex_areas
-from ..skeleton.joints import MiddlePlanes
+from ..skeleton.centre_constraints import MiddlePlanes
 from .mirrored_parts import MirroredParts, middle_joints, mirror_joints, mirror_parts
 from .surface_symmetry import SurfaceSymmetry
 
