@@ -15,6 +15,7 @@ from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.geometry.procrustes import group_moments
 from jaxcap.learn.anatomy.close_joints import close_joints, hidden_joints, hinges
 from jaxcap.learn.anatomy.small_joints import free_small_joints
+from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.centre_constraints import KeptBones, MiddlePlanes, kept_bones
 from jaxcap.learn.skeleton.joint_centre_prior import (
     MIN_ROTATION,
@@ -29,6 +30,7 @@ from jaxcap.learn.skeleton.joints import JointProblem, improve_joints, make_curv
 from jaxcap.learn.skeleton.pose_from_parts import fit_poses
 from tests.learn.test_learn_projection import arm
 from tests.learn.test_learn_steps import NONE
+from tests.learn.test_learn_terms import checked_information
 
 
 def test_neck_and_wrist_of_the_human_are_close():
@@ -90,13 +92,8 @@ def test_equations_with_a_prior_are_the_gradient(rng):
     # heavy, so that an error of its gradient shows
     prior = eqx.tree_at(lambda p: p.rotations, prior, 1e3 * prior.rotations)
     problem = JointProblem(body, targets, metric, make_curvature(metric), prior, 0.7)
-    y = problem.start(poses)
-    zero = jax.tree.map(jnp.zeros_like, problem.scales())
-    slopes = jax.grad(lambda d: problem.value(problem.retract(y, d)))(zero)
-    info = problem.information(y)
-    for found, slope in zip(info.grad, slopes, strict=True):
-        np.testing.assert_allclose(found, slope, rtol=1e-7, atol=1e-9)
-    alone = dataclasses.replace(problem, centre_prior=None).information(y)
+    info = checked_information(problem, poses)
+    alone = dataclasses.replace(problem, centre_prior=None).information(problem.start(poses))
     for found, without in zip(info.grad, alone.grad, strict=True):
         assert float(jnp.abs(found - without).max()) > 1e-3
     away = np.asarray(body.skeleton.centres - given.centres)
@@ -127,11 +124,7 @@ def test_close_joints_move_together(rng):
     off = eqx.tree_at(lambda b: b.skeleton.centres, body, body.skeleton.centres.at[joints[1]].add(0.02))
     given, pair = GivenCentres(off.skeleton.centres), (tuple(joints),)
     curvature = make_curvature(metric)
-    start = 2 * float(
-        JointProblem(off, targets, metric, curvature).value(
-            JointProblem(off, targets, metric, curvature).start(poses)
-        )
-    )
+    start = float(objective(off, poses, targets, metric))
     together = improve_joints(off, poses, targets, metric, curvature, NONE, 1e-4, start, 4, given, close=pair)
     single = improve_joints(off, poses, targets, metric, curvature, NONE, 1e-4, start, 4, given)
     bone = lambda b: np.asarray(b.skeleton.centres[joints[1]] - b.skeleton.centres[joints[0]])  # noqa: E731

@@ -12,6 +12,7 @@ import jaxcap as jc
 from jaxcap.body.body import posed_vertices
 from jaxcap.energy.energy import sum_energies
 from jaxcap.errors import InputError
+from jaxcap.fit.solvers.descent import ConstrainedInfo
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.learn_body import learn_body
 from jaxcap.learn.objective import objective
@@ -59,6 +60,17 @@ def test_a_floor_raises_learned_poses(rng):
         learn_body(meshes, **options, terms=[FeetOnFloor(jnp.array([10**6]), jnp.asarray(0.0))])
 
 
+def checked_information(problem: JointProblem, poses: jc.Pose) -> ConstrainedInfo:
+    """Return the equations of a problem at its start, whose gradient has to be that of its value."""
+    y = problem.start(poses)
+    zero = jax.tree.map(jnp.zeros_like, problem.scales())
+    slopes = jax.grad(lambda d: problem.value(problem.retract(y, d)))(zero)
+    info = problem.information(y)
+    for found, slope in zip(info.grad, slopes, strict=True):
+        np.testing.assert_allclose(found, slope, rtol=1e-8, atol=1e-9)
+    return info
+
+
 def test_equations_with_terms_are_the_gradient(rng):
     body, poses = arm(rng, 3)
     targets = posed_vertices(body, poses) + 0.01 * rng.normal(size=(3, len(body.vertices), 3))
@@ -66,13 +78,8 @@ def test_equations_with_terms_are_the_gradient(rng):
     floor = FeetOnFloor(jnp.arange(len(body.vertices)), jnp.asarray(lowest(body, poses) + 0.05))
     terms = sum_energies([1e-3 * Hand(jnp.array([0.5, 0.2, 0.1])), 1e-2 * floor])
     problem = JointProblem(body, targets, metric, make_curvature(metric), terms=terms)
-    y = problem.start(poses)
-    zero = jax.tree.map(jnp.zeros_like, problem.scales())
-    slopes = jax.grad(lambda d: problem.value(problem.retract(y, d)))(zero)
-    info = problem.information(y)
-    for found, slope in zip(info.grad, slopes, strict=True):
-        np.testing.assert_allclose(found, slope, rtol=1e-8, atol=1e-9)
-    alone = JointProblem(body, targets, metric, make_curvature(metric)).information(y)
+    info = checked_information(problem, poses)
+    alone = JointProblem(body, targets, metric, make_curvature(metric)).information(problem.start(poses))
     assert float(jnp.abs(info.grad[1] - alone.grad[1]).max()) > 0.1
     value = 2 * float(info.f)
     step = improve_joints(

@@ -21,7 +21,7 @@ def close_joints(skeleton: Skeleton) -> tuple[tuple[int, int], ...]:
 
     These are neck and head, and the wrist and the base of the fingers if both move. Other skeletons than the human's have none.
     """
-    if not has_same_joints(skeleton, load_template().body.skeleton):
+    if not _is_human(skeleton):
         return ()
     return tuple(
         (parent, joint)
@@ -44,7 +44,7 @@ def hidden_joints(skeleton: Skeleton) -> tuple[int, ...]:
         if second == third
         for joint in (first, second, fourth)
     }
-    if has_same_joints(skeleton, load_template().body.skeleton):
+    if _is_human(skeleton):
         hidden |= _bare_joints() - {joint for pair in close for joint in pair}
     return tuple(sorted(hidden))
 
@@ -54,9 +54,13 @@ def hinges(skeleton: Skeleton) -> tuple[int, ...]:
 
     A forearm twists, so that its motion seems to show this position, too, but it does so about the wrist.
     """
-    if not has_same_joints(skeleton, load_template().body.skeleton):
+    if not _is_human(skeleton):
         return ()
     return tuple(joint for joint, name in enumerate(skeleton.names) if name.endswith(HINGES))
+
+
+def _is_human(skeleton: Skeleton) -> bool:
+    return has_same_joints(skeleton, load_template().body.skeleton)
 
 
 @functools.cache

@@ -8,8 +8,13 @@ from jaxtyping import Bool, Float, Int
 from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ..skeleton.joint_centre_prior import MIN_ROTATION_GIVEN, GivenCentres, given_pull, motion_information
-from .close_joints import hidden_joints
+from ..skeleton.joint_centre_prior import (
+    MIN_ROTATION_GIVEN,
+    GivenCentres,
+    given_pull,
+    least_rotations,
+    motion_information,
+)
 
 #: share of the meshes in the position of a joint, across the direction that they determine least, above which they determine it
 MIN_SHARE = 0.5
@@ -67,9 +72,7 @@ def joint_evidence(
     joints = np.flatnonzero(parents >= 0)
     _, values, _ = motion_information(motion.poses)
     information = np.maximum(values[:, 1], 0.0)
-    weakest = np.full(len(parents), least)
-    weakest[list(hidden_joints(skeleton))] = MIN_ROTATION_GIVEN
-    shares = information / (information + given_pull(information, weakest))
+    shares = information / (information + given_pull(information, least_rotations(skeleton, least)[:, 1]))
     if given is not None and given.is_fixed:
         shares = np.zeros(len(parents))
     before = centres if given is None else np.asarray(given.centres, float)

@@ -27,7 +27,7 @@ def free_small_joints(
 ) -> Skeleton:
     """Convert fixed joints with a part of their own to ball joints if the meshes show that the part rotates.
 
-    The vertices of the joint's subtree and those of its parent are moved rigidly, once together and once apart. If the parent
+    The vertices of the joint's subtree and those of its parent are moved as one rigid body, and as two. If the parent
     has too few vertices, the joint is free if the part rotates about it, and not about the joint of the parent, which then only
     rotates about the bone that leads to it: a hand that bends at the base of the fingers has a wrist that only twists. Joints
     without vertices of their own, such as those that carry the hips, stay fixed.

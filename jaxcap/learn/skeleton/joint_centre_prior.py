@@ -125,10 +125,7 @@ def given_centre_prior(
     determine a centre, but for `hidden_joints`, and for `hinges` along their axes.
     """
     _, values, axes = motion_information(poses, frame_weights)
-    least = np.full(values.shape, rotation_that_determines(body, variance))
-    least[list(hidden_joints(body.skeleton))] = MIN_ROTATION_GIVEN
-    # the first direction is the one in which the motion shows the centre least
-    least[list(hinges(body.skeleton)), 0] = MIN_ROTATION_GIVEN
+    least = least_rotations(body.skeleton, rotation_that_determines(body, variance))
     pull = given_pull(np.maximum(values, 0.0), least)
     weights = np.einsum(
         "jab,jb,jcb->jac", axes, np.full_like(pull, FIXED_WEIGHT) if given.is_fixed else pull, axes
@@ -163,6 +160,18 @@ def rotation_that_determines(body: Body, variance: float) -> float:
     """
     share = min(1.0, float(np.sqrt(variance)) / (ROUGH * diagonal(body)))
     return max(share * MIN_ROTATION_GIVEN, MIN_ROTATION)
+
+
+def least_rotations(skeleton: Skeleton, least: float) -> Float[np.ndarray, "J 3"]:
+    """Return the mean squared rotations, squared radians, that determine each joint's centre along the axes of `motion_information`.
+
+    They are `least`, but do not fade for `hidden_joints`, and for `hinges` along the first axis, along which the motion shows
+    the centre least.
+    """
+    rotations = np.full((skeleton.num_joints, 3), least)
+    rotations[list(hidden_joints(skeleton))] = MIN_ROTATION_GIVEN
+    rotations[list(hinges(skeleton)), 0] = MIN_ROTATION_GIVEN
+    return rotations
 
 
 def given_pull(

@@ -229,12 +229,11 @@ def improve_joints(
     size = targets.size if frame_weights is None else targets[0].size * float(jnp.sum(frame_weights))
     if given_centres is None:
         anchors = boundary_centre_prior(body, poses, metric, value / size, frame_weights)
-        tries = (anchors, 1.0), (anchors, 0.0)
+        tries, kept = ((anchors, 1.0), (anchors, 0.0)), None
     else:
         anchors = given_centre_prior(body, poses, given_centres, value / size, frame_weights)
         tries = (anchors, 1.0), (fixed_centre_prior(body, len(targets), frame_weights), 1.0)
-        planes = middle_planes(given_centres)
-    kept = None if given_centres is None else kept_bones(given_centres, close, np.asarray(pairs))
+        planes, kept = middle_planes(given_centres), kept_bones(given_centres, close, np.asarray(pairs))
     left_right_pairs = tuple(map(tuple, np.asarray(pairs, int).tolist()))
     first = shares = jnp.asarray(damping, targets.dtype)
     for anchors, strength in tries:
