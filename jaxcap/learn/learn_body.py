@@ -23,6 +23,7 @@ from .anatomy.choose_skeleton import SkeletonName, choose_skeleton
 from .anatomy.close_joints import close_joints
 from .anatomy.find_person import PlacedPerson
 from .decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
+from .full_resolution import transfer_to_all_vertices
 from .initialise import (
     InitialBody,
     SkinName,
@@ -46,7 +47,7 @@ from .symmetry.symmetric_skeleton import middle_directions
 from .variable_projection.learning_rounds import VERTICES, improve_linear_skin
 from .variable_projection.solve_blend_problem import optimise_all_vertices
 from .weights.improve_weights import improve_weights
-from .weights.rest_vertices import fit_rest_vertices, solve_rest_vertices
+from .weights.rest_vertices import solve_rest_vertices
 
 _LOG = logging.getLogger(__name__)
 
@@ -181,7 +182,10 @@ def learn_body(
         )
         state = _improve(state, stage, round(COARSE_SHARE * rounds), on_round, exchanging, loose)
         _LOG.info("transferring the body to all vertices")
-        state = state._replace(body=_refine(state, meshes, coarse, loose))
+        body = transfer_to_all_vertices(state.body, state.motion.poses, coarse, meshes)
+        if loose:
+            body = optimise_all_vertices(body, state.motion.poses, meshes.vertices)[0]
+        state = state._replace(body=body)
     energies = in_units_of_vertices(whole, meshes.vertices.shape[1])
     fine = _stage(meshes, alpha, "", energies, mirror)
     # no exchange on the fine mesh after one on the coarse mesh
@@ -252,18 +256,6 @@ def _start(meshes, joints, skin, symmetry, tree, free_bones, mirrors) -> Initial
 
 def _thin(body: Body, coarse: DecimatedMeshes) -> Body:
     return take_vertices(body, jnp.asarray(coarse.kept), coarse.meshes.faces)
-
-
-def _refine(state: LearnState, meshes: MeshSequence, coarse: DecimatedMeshes, loose: bool) -> Body:
-    """Transfer the body to all vertices.
-
-    Each vertex takes the weights of the nearest kept one, and the rest position that best fits its own
-    positions in the meshes.
-    """
-    body = take_vertices(state.body, jnp.asarray(coarse.nearest), meshes.faces)
-    rest = fit_rest_vertices(body, state.motion.poses, meshes.vertices)
-    body = eqx.tree_at(lambda b: b.vertices, body, rest)
-    return optimise_all_vertices(body, state.motion.poses, meshes.vertices)[0] if loose else body
 
 
 def _improve(
@@ -349,8 +341,8 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     # each number of joints has its own compiled functions
     forget_many_compiled()
     poses, targets = state.motion.poses, stage.meshes.vertices
-    # the first update on a mesh needs more sweeps
-    far = far or not _has(state, stage, "weights")
+    # the first update needs more sweeps; on all vertices, the weights are interpolated from learned ones
+    far = far or not any(name.endswith("weights") for name, _ in state.history)
     effort = FIRST_SWEEPS if far else SWEEPS
     _LOG.info("round %d: weights", state.round + 1)
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body

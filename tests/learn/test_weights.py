@@ -6,15 +6,19 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import random_pose
+from scipy.spatial import Delaunay
 
 from jaxcap.body.body import Body, posed_vertices
 from jaxcap.body.pose import stack_poses
 from jaxcap.body.skeleton import make_skeleton
 from jaxcap.body.skin import DualQuaternionSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from jaxcap.geometry.laplacian import make_conformance, matrix
+from jaxcap.learn.decimated_meshes import DecimatedMeshes, decimate_meshes
+from jaxcap.learn.full_resolution import corners_of_kept
 from jaxcap.learn.weights import coordinate_descent as sweeping
 from jaxcap.learn.weights.graph_colouring import colour_vertices
 from jaxcap.learn.weights.improve_weights import improve_weights
+from jaxcap.observe.meshes import MeshSequence
 
 SIDES, RINGS, FRAMES = 8, 25, 12
 
@@ -153,3 +157,38 @@ def test_what_cannot_be_improved_is_said():
     short = jax.tree.map(lambda a: a[:-1], poses)
     with pytest.raises(ValueError, match="with 11 frames"):
         improve_weights(start, short, targets, metric)
+
+
+def sheets(rng, gap: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Two irregular flat sheets, one above the other at a distance; their triangles, and the sheet of each vertex."""
+    x, y = np.meshgrid(np.arange(20.0), np.arange(20.0), indexing="ij")
+    flat = np.stack([x.ravel(), y.ravel()], 1) + rng.uniform(-0.2, 0.2, (400, 2))
+    triangles = Delaunay(flat).simplices
+    vertices = np.concatenate([np.column_stack([flat, np.full(400, height)]) for height in (0.0, gap)])
+    return vertices, np.concatenate([triangles, triangles + 400]), np.repeat([0, 1], 400)
+
+
+def test_kept_vertices_interpolate_linear_fields_on_their_own_sheet(rng):
+    vertices, faces, sheet = sheets(rng, 1e-3)
+    meshes = MeshSequence(jnp.asarray(vertices)[None], jnp.asarray(faces), 30.0)
+    coarse = decimate_meshes(meshes, 250)
+    corners, shares = corners_of_kept(coarse, vertices)
+    # sheets that touch do not mix
+    np.testing.assert_array_equal(sheet[coarse.kept][corners], np.repeat(sheet[:, None], 3, 1))
+    assert (shares >= -1e-9).all()
+    np.testing.assert_allclose(shares.sum(1), 1)
+    kept = np.einsum("vc,vca->va", shares, vertices[coarse.kept][corners])
+    np.testing.assert_allclose(kept[coarse.kept], vertices[coarse.kept], atol=1e-9)
+    # a linear function is exact where a triangle of the nearest kept vertex covers the vertex
+    inside = (np.abs(vertices[:, :2] - 9.5) < 7).all(1)
+    errors = np.linalg.norm(kept - vertices, axis=1)[inside]
+    assert np.mean(errors < 1e-9) > 0.95
+    assert errors.max() < 0.25
+
+
+def test_a_vertex_without_triangles_takes_its_kept_one():
+    vertices = np.eye(3)
+    meshes = MeshSequence(jnp.asarray(vertices)[None], jnp.zeros((0, 3), int), 30.0)
+    corners, shares = corners_of_kept(DecimatedMeshes(meshes, np.arange(3), np.array([2, 1, 0])), vertices)
+    np.testing.assert_array_equal(corners[:, 0], [2, 1, 0])
+    np.testing.assert_array_equal(shares[:, 0], 1)

@@ -15,6 +15,9 @@ from ...geometry.procrustes import group_moments, rigid_errors, rigid_motions
 MIN_EXPLAINED = 0.5
 #: and if that error, root mean square, is at least this share of the height of the body (1 mm for a person)
 MIN_ERROR_SHARE = 6e-4
+#: a part rotates about its own joint if that point's squared distance between the part and the bone before it is at most this
+#: share of the same distance of the parent's joint (median; at most 0.5 where it does, at least 2 on a real wrist)
+MAX_DISTANCE_RATIO = 0.7
 #: the least number of vertices of a part, and of that of its parent, as a share of the part
 MIN_VERTICES, MIN_PARENT_SHARE = 6, 0.25
 
@@ -28,9 +31,10 @@ def free_small_joints(
     """Convert fixed joints with a part of their own to ball joints if the meshes show that the part rotates.
 
     The vertices of the joint's subtree and those of its parent are moved as one rigid body, and as two. If the parent
-    has too few vertices, the joint is free if the part rotates about it, and not about the joint of the parent, which then only
-    rotates about the bone that leads to it: a hand that bends at the base of the fingers has a wrist that only twists. Joints
-    without vertices of their own, such as those that carry the hips, stay fixed.
+    has too few vertices, the largest part below it decides: if it rotates about its own joint, and not about the parent's, then
+    all parts below the parent are free on both sides, and the parent only rotates about the bone that leads to it. So a hand that
+    bends at the base of the fingers has a wrist that only twists. Other joints without vertices of their own, such as those that
+    carry the hips, stay fixed.
 
     **Arguments:** `labels` are the bones of the vertices; `rest` is their position in the shape of the skeleton.
     """
@@ -39,18 +43,26 @@ def free_small_joints(
     least = MIN_ERROR_SHARE * float(np.ptp(rest, axis=0).max())
     sides = {joint: pair for pair in left_right_pairs_by_name(skeleton.names) for joint in pair}
     below = skeleton.descendants
-    for joint, kind in enumerate(kinds):
-        parent = skeleton.parents[joint]
-        own = below[joint][labels].sum()
-        if kind != "fixed" or not (labels == joint).any() or own < MIN_VERTICES:
+    sizes = np.array([below[joint][labels].sum() for joint in range(skeleton.num_joints)])
+    fixed = (np.array(kinds) == "fixed") & np.isin(np.arange(len(kinds)), labels) & (sizes >= MIN_VERTICES)
+    small = np.flatnonzero(fixed).tolist()
+    for parent in sorted({skeleton.parents[joint] for joint in small}):
+        parts = [joint for joint in small if skeleton.parents[joint] == parent]
+        largest = max(parts, key=lambda joint: sizes[joint])
+        if (labels == parent).sum() >= max(MIN_VERTICES, MIN_PARENT_SHARE * sizes[largest]):
+            rotating = [
+                joint for joint in parts if _part_rotates(joint, skeleton, rest, shapes, labels, least)
+            ]
+        elif _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least):
+            rotating = [side for joint in parts for side in sides.get(joint, (joint,))]
+            for twisting in sides.get(parent, (parent,)):
+                kinds[twisting] = "revolute"
+                bone = centres[twisting] - centres[skeleton.parents[twisting]]
+                axes[twisting, 0] = bone / np.linalg.norm(bone)
+        else:
             continue
-        if (labels == parent).sum() >= max(MIN_VERTICES, MIN_PARENT_SHARE * own):
-            if _part_rotates(joint, skeleton, rest, shapes, labels, least):
-                kinds[joint] = "ball"
-        elif _rotates_about_itself(sides.get(joint, (joint,)), skeleton, rest, shapes, labels, least):
-            kinds[joint], kinds[parent] = "ball", "revolute"
-            bone = centres[parent] - centres[skeleton.parents[parent]]
-            axes[parent, 0] = bone / np.linalg.norm(bone)
+        for joint in rotating:
+            kinds[joint] = "ball"
     return dataclasses.replace(skeleton, kinds=tuple(kinds), axes=jnp.asarray(axes, skeleton.axes.dtype))
 
 
@@ -75,9 +87,11 @@ def _rotates_about_itself(
 ) -> bool:
     """Test whether parts rotate, relative to the parent of their parent, about their own joints rather than that of the parent.
 
-    A centre of rotation is the same point of both parts in all meshes; the median over the meshes of both sides is compared.
+    A centre of rotation is the same point of both parts in all meshes; the median over the meshes of both sides is compared. The
+    mesh at rest, in which no point is moved, does not count.
     """
     centres = np.asarray(skeleton.centres, float)
+    posed = np.abs(shapes - rest).max((1, 2)) > 0
     about_itself, about_parent = [], []
     for joint in joints:
         parent = skeleton.parents[joint]
@@ -85,12 +99,12 @@ def _rotates_about_itself(
         if groups.sum(1).min() < MIN_VERTICES:
             continue
         turns, shifts = rigid_motions(group_moments(groups.astype(float), rest, shapes.transpose(1, 0, 2)))
-        for centre, gaps in ((centres[joint], about_itself), (centres[parent], about_parent)):
-            gaps.append(np.sum(((turns[0] - turns[1]) @ centre + shifts[0] - shifts[1]) ** 2, 1))
-    if not about_itself:
+        for centre, distances in ((centres[joint], about_itself), (centres[parent], about_parent)):
+            distances.append(np.sum(((turns[0] - turns[1]) @ centre + shifts[0] - shifts[1])[posed] ** 2, 1))
+    if not about_itself or not posed.any():
         return False
-    itself, at_parent = np.median(about_itself), np.median(about_parent)
-    return bool(itself <= (1 - MIN_EXPLAINED) * at_parent and at_parent >= least**2)
+    itself, at_parent = (np.median(np.concatenate(distances)) for distances in (about_itself, about_parent))
+    return bool(itself <= MAX_DISTANCE_RATIO * at_parent and at_parent >= least**2)
 
 
 def _error(rest: np.ndarray, shapes: np.ndarray, rows: np.ndarray) -> float:
