@@ -22,6 +22,7 @@ from .adapt_round import adapt_round
 from .compare_people import compare_people
 from .history import append_history
 from .objective import balancing_weight, motion_energy
+from .poses.finger_slips import correct_finger_slips
 from .poses.fit_frame import fit_task_poses
 from .poses.flag_frames import flag_frames
 from .poses.pair_cache import make_pair_cache
@@ -167,10 +168,23 @@ def _interpolate(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Arr
     return retract(skeleton, before, share * difference(skeleton, before, after))
 
 
+def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
+    """Correct flipped hands, and then hands whose fingers lie beside their own, which show with the actor's proportions."""
+    correct = _correct_flips_unordered if task.settings.unordered else _correct_flips
+    return _correct_slips(task, (yield from correct(task, state, stage, every)))
+
+
+def _correct_slips(task: AdaptTask, state: AdaptState) -> AdaptState:
+    """Correct hands whose fingers lie beside their own in some scans; the body was not adapted in these poses."""
+    poses = {n: state.motion[n] for n in task.scanned}
+    changed = correct_finger_slips(task, state, task.scanned, poses)
+    if not changed:
+        return state
+    return state._replace(motion=_interpolate_missing(task, poses | changed), chosen=())
+
+
 def _correct_flips(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """Correct flipped hands, which show with the actor's proportions, and track all frames again."""
-    if task.settings.unordered:
-        return (yield from _correct_flips_unordered(task, state, stage, every))
+    """Correct flipped hands in all frames together, and track all frames again."""
     if state.within:
         return (yield from _track(task, state, stage, every))
     first, tracker = task.scanned[:NUM_SIZE_FRAMES], make_task_tracker(task, state.body)
@@ -287,7 +301,8 @@ def _fit_poses(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> 
         state = state._replace(motion=_interpolate_missing(task, poses), within=state.within + len(some))
         if state.within < len(there):
             yield state
-    return append_history(task, state._replace(within=0), str(stage), select_evenly(task.scanned))
+    state = _correct_slips(task, state._replace(within=0))
+    return append_history(task, state, str(stage), select_evenly(task.scanned))
 
 
 def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
@@ -322,7 +337,7 @@ def _smooth(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Ste
 
 _STAGES: dict[str, Callable[[AdaptTask, AdaptState, Stage, int], Steps]] = {
     "track": _track,
-    "turn": _correct_flips,
+    "turn": _correct_hands,
     "pose": _fit_poses,
     "smooth": _smooth,
 }

@@ -22,7 +22,7 @@ from .anatomy.rest_of_template import rest_as_template
 from .anatomy.small_joints import free_small_joints
 from .parts.find_parts import MAX_SYMMETRY_COST, find_parts
 from .parts.surface_graph import make_surface_graph, membership
-from .skeleton.joint_centre_prior import GivenCentres
+from .skeleton.given_centres import GivenCentres
 from .skeleton.joint_tree import find_joint_tree, pose_parts
 from .skeleton.left_right_pairs import detect_left_right_pairs
 from .skeleton.pose_from_parts import fit_poses

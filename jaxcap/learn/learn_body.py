@@ -36,8 +36,7 @@ from .joint_exchange.exchange_joints import exchange_joints
 from .joint_exchange.insert_and_remove import EditedBody
 from .objective import in_units_of_vertices, objective
 from .parts.find_parts import MAX_SYMMETRY_COST
-from .skeleton.carry_given import carry_given
-from .skeleton.joint_centre_prior import GivenCentres
+from .skeleton.given_centres import GivenCentres, carry_given
 from .skeleton.joints import Curvature, improve_joints, make_curvature
 from .skeleton.limbs import has_only_ball_joints
 from .state import LearnState

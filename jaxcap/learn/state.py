@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Motion
-from .skeleton.joint_centre_prior import GivenCentres
+from .skeleton.given_centres import GivenCentres
 
 
 class LearnState(NamedTuple):

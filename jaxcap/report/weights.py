@@ -11,7 +11,7 @@ from ..body.body import Body
 from ..body.skin import SwingTwistSkin
 from ..geometry import rotation
 from ..io.system.atomic import atomic_path
-from ..learn.skeleton.joint_centre_prior import GivenCentres
+from ..learn.skeleton.given_centres import GivenCentres
 from .pictures import new_figure
 from .render import INK, distinct_colours, draw_surface, rotate_view, set_frame, view_axes
 

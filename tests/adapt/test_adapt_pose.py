@@ -1,14 +1,23 @@
-"""How the pose of one frame goes on: more steps are never worse than fewer."""
+"""How the pose of one frame goes on: more steps are never worse than fewer, and fingers find their own."""
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from adapt_scene import make_scene, task_of
 
+import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms
+from jaxcap.adapt.poses.finger_slips import correct_finger_slips, limb_end_planes
 from jaxcap.adapt.poses.fit_frame import fit_pose
+from jaxcap.adapt.prepare import make_adapt_task
+from jaxcap.adapt.task import AdaptState
+from jaxcap.body.body import posed_vertices
+from jaxcap.body.people.walk_and_wave import walk_and_wave
 from jaxcap.body.retraction import retract
 from jaxcap.fit.correspondence.nearest_assignment import make_scan
+from jaxcap.geometry import rotation
+from jaxcap.geometry.mesh import sample_surface
 
 
 @pytest.fixture(scope="module")
@@ -36,3 +45,34 @@ def test_more_steps_are_never_worse_than_fewer(scene):
     ]
     assert (np.diff(values) <= 1e-15).all()
     assert values[-1] < 0.5 * values[0]
+
+
+def test_fingers_that_lie_beside_their_own_are_corrected(rng):
+    body = jc.human(joints="tracking", resolution="medium")
+    skeleton, motion = body.skeleton, walk_and_wave(body.skeleton, 1.0).slice(slice(0, None, 10))
+    surfaces = [np.asarray(posed_vertices(body, motion[n]), float) for n in range(len(motion))]
+    clouds = []
+    for surface in surfaces:
+        points, normals = sample_surface(surface, np.asarray(body.faces), 20_000, rng)
+        clouds.append(jc.make_cloud(points + 0.001 * rng.normal(size=points.shape), normals))
+    hand = skeleton.index("RightHand")
+    (end,) = (end for end in limb_end_planes(body) if end.joint == hand)
+    wrong = (
+        motion[1]
+        .rotations.at[hand]
+        .set(rotation.multiply(motion[1].rotations[hand], rotation.exp(jnp.asarray(0.27 * end.normal))))
+    )
+    task = make_adapt_task(body, clouds, 3.0, planes=())
+    poses = {n: motion[n] for n in range(len(motion))}
+    poses[1] = eqx.tree_at(lambda pose: pose.rotations, motion[1], wrong)
+    state = AdaptState(0, body, 1.0, motion, pose_weight=1e-8)
+    fingers = body.skeleton.descendants[hand][np.asarray(body.skin.dominant_bones())]
+
+    def error(pose):
+        return np.linalg.norm(np.asarray(posed_vertices(body, pose)) - surfaces[1], axis=1)[fingers].mean()
+
+    assert error(poses[1]) > 0.008
+    changed = correct_finger_slips(task, state, range(len(motion)), poses)
+    assert list(changed) == [1]
+    assert error(changed[1]) < 0.002
+    assert correct_finger_slips(task, state, range(len(motion)), poses | changed) == {}

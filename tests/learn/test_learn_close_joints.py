@@ -17,11 +17,11 @@ from jaxcap.learn.anatomy.close_joints import close_joints, hidden_joints, hinge
 from jaxcap.learn.anatomy.small_joints import free_small_joints
 from jaxcap.learn.objective import objective
 from jaxcap.learn.skeleton.centre_constraints import KeptBones, MiddlePlanes, kept_bones
+from jaxcap.learn.skeleton.given_centres import GivenCentres
 from jaxcap.learn.skeleton.joint_centre_prior import (
     MIN_ROTATION,
     MIN_ROTATION_GIVEN,
     ROUGH,
-    GivenCentres,
     fixed_centre_prior,
     given_centre_prior,
     rotation_that_determines,
@@ -99,6 +99,31 @@ def test_equations_with_a_prior_are_the_gradient(rng):
     away = np.asarray(body.skeleton.centres - given.centres)
     quadratic = 0.5 * np.einsum("ja,jab,jb->", away, np.asarray(prior.weights), away)
     np.testing.assert_allclose(prior.energy(body.skeleton.centres), quadratic)
+    # with half of each distance outside of its sphere
+    length = np.linalg.norm(away, axis=1)
+    small = eqx.tree_at(lambda p: p.radii, prior, jnp.asarray(0.5 * length))
+    checked_information(dataclasses.replace(problem, centre_prior=small), poses)
+    outside = 0.5 * np.sum(np.asarray(prior.beyond) * (0.5 * length) ** 2)
+    np.testing.assert_allclose(small.energy(body.skeleton.centres), quadratic + outside)
+
+
+def test_a_centre_that_data_place_outside_of_the_body_stays_near_the_given_one(rng):
+    """The end of a limb that is shifted, as cloth is, looks like a rotation about a distant point."""
+    body, poses = arm(rng, 8)
+    joint = body.skeleton.num_joints - 1
+    distant = eqx.tree_at(
+        lambda b: b.skeleton.centres, body, body.skeleton.centres.at[joint].add(jnp.array([0, 0, 0.6]))
+    )
+    targets = posed_vertices(distant, poses)
+    metric = make_conformance(np.asarray(body.faces), len(body.vertices), 1.0)
+    given, curvature = GivenCentres(body.skeleton.centres), make_curvature(metric)
+    value = float(objective(body, poses, targets, metric))
+    for _ in range(4):
+        found = improve_joints(body, poses, targets, metric, curvature, NONE, 1e-4, value, 4, given)
+        body, poses, value = found.body, found.poses, found.value
+    radius = float(given_centre_prior(body, poses, given, value / targets.size).radii[joint])
+    moved = float(jnp.linalg.norm(body.skeleton.centres[joint] - given.centres[joint]))
+    assert moved < 1.2 * radius, (moved, radius)
 
 
 def test_finer_data_need_less_rotation_to_determine_a_centre(rng):

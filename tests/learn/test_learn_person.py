@@ -31,9 +31,8 @@ from jaxcap.learn.anatomy.rest_of_template import rest_as_template
 from jaxcap.learn.anatomy.small_joints import free_small_joints
 from jaxcap.learn.objective import objective
 from jaxcap.learn.people.rest_alignment import change_rest_pose
-from jaxcap.learn.skeleton.carry_given import carry_given
 from jaxcap.learn.skeleton.check_skeleton import check_skeleton, winding_numbers
-from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
+from jaxcap.learn.skeleton.given_centres import GivenCentres, carry_given
 from jaxcap.learn.skeleton.joints import improve_joints, make_curvature
 from jaxcap.observe.meshes import MeshSequence
 from jaxcap.rigging.template import load_template

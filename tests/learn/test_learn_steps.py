@@ -14,11 +14,8 @@ from jaxcap.body.symmetry import bone_pairs, length_differences, symmetrise
 from jaxcap.geometry import rotation
 from jaxcap.geometry.laplacian import make_conformance
 from jaxcap.learn.objective import objective
-from jaxcap.learn.skeleton.joint_centre_prior import (
-    GivenCentres,
-    boundary_centre_prior,
-    motion_information,
-)
+from jaxcap.learn.skeleton.given_centres import GivenCentres
+from jaxcap.learn.skeleton.joint_centre_prior import boundary_centre_prior, motion_information
 from jaxcap.learn.skeleton.joints import (
     improve_joints,
     make_curvature,

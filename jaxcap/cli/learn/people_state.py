@@ -15,7 +15,7 @@ from ...io.archives.checkpoint import Checkpoint, load_checkpoint
 from ...io.archives.npz import get_array
 from ...learn.people.learn_people import PeopleState
 from ...learn.people.person import Person, repeated_rows
-from ...learn.skeleton.joint_centre_prior import GivenCentres
+from ...learn.skeleton.given_centres import GivenCentres
 from .state import check_unfinished
 
 #: names of the arrays of a checkpoint

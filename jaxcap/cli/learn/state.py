@@ -9,7 +9,7 @@ from ...errors import InputError
 from ...io.archives.checkpoint import Checkpoint, load_checkpoint
 from ...io.archives.npz import get_array
 from ...learn.learn_body import LearnState
-from ...learn.skeleton.joint_centre_prior import GivenCentres
+from ...learn.skeleton.given_centres import GivenCentres
 
 #: names of the arrays of a checkpoint
 STATE_ARRAYS = (

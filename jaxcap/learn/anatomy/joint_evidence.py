@@ -8,13 +8,8 @@ from jaxtyping import Bool, Float, Int
 from ...arguments import checked
 from ...body.pose import Motion
 from ...body.skeleton import Skeleton
-from ..skeleton.joint_centre_prior import (
-    MIN_ROTATION_GIVEN,
-    GivenCentres,
-    given_pull,
-    least_rotations,
-    motion_information,
-)
+from ..skeleton.given_centres import GivenCentres
+from ..skeleton.joint_centre_prior import MIN_ROTATION_GIVEN, given_pull, least_rotations, motion_information
 
 #: share of the meshes in the position of a joint, across the direction that they determine least, above which they determine it
 MIN_SHARE = 0.5

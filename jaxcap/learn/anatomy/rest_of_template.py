@@ -11,7 +11,7 @@ from ...geometry import rotation
 from ...rigging.template import load_template
 from ..people.person import Person
 from ..people.rest_alignment import rotate_at_rest
-from ..skeleton.joint_centre_prior import GivenCentres
+from ..skeleton.given_centres import GivenCentres
 
 
 def rest_as_template(

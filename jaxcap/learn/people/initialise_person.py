@@ -13,7 +13,7 @@ from ...body.pose import Pose, concatenate_poses, shift_roots, take_poses
 from ...body.symmetry import symmetrise
 from ...fit.fit_meshes import procrustes_poses
 from ...observe.meshes import MeshSequence
-from ..skeleton.joint_centre_prior import GivenCentres, onto_middle
+from ..skeleton.given_centres import GivenCentres, onto_middle
 from ..weights.rest_vertices import fit_rest_vertices
 from .joints_of_surface import joints_of_surface
 from .person import Person

@@ -24,7 +24,7 @@ from ..anatomy.find_person import PlacedPerson
 from ..decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
 from ..initialise import SkinName
 from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS, MIN_DECREASE, learn_body
-from ..skeleton.joint_centre_prior import GivenCentres
+from ..skeleton.given_centres import GivenCentres
 from ..weights.rest_vertices import fit_rest_vertices
 from .check_people import check_people, find_moving
 from .initialise_person import Reference, initialise_person

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float, Int
 
 from ...body.body import Body
 from ...body.pose import Pose, take_poses
-from ..skeleton.joint_centre_prior import GivenCentres
+from ..skeleton.given_centres import GivenCentres
 
 #: numbers of meshes for which functions are compiled
 LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)

@@ -16,7 +16,7 @@ from ...body.skeleton import Skeleton
 from ...fit.fit_meshes import procrustes_poses
 from ...geometry import rotation
 from ...observe.meshes import MeshSequence
-from ..skeleton.joint_centre_prior import GivenCentres, replace_centres
+from ..skeleton.given_centres import GivenCentres, replace_centres
 from ..weights.rest_vertices import fit_rest_vertices
 from .person import Person
 from .shape_space import mean_body

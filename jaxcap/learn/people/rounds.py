@@ -13,7 +13,7 @@ from ...compiled import forget_many_compiled
 from ...geometry.laplacian import Conformance, make_conformance
 from ..anatomy.close_joints import close_joints
 from ..objective import objective
-from ..skeleton.carry_given import carry_given
+from ..skeleton.given_centres import carry_given
 from ..skeleton.joints import Curvature, improve_joints, make_curvature
 from ..weights.improve_weights import PosedMeshes, improve_shared_weights
 from ..weights.rest_vertices import solve_rest_vertices

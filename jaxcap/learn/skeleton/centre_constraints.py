@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from .joint_centre_prior import GivenCentres
+from .given_centres import GivenCentres
 
 
 class MiddlePlanes(eqx.Module):

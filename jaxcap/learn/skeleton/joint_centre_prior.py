@@ -4,13 +4,12 @@ The prior mean is the centre in a given skeleton, or the middle of the cut betwe
 connects.
 """
 
-from typing import NamedTuple, TypeVar
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
+from scipy.spatial import KDTree
 
 from ...body.body import Body
 from ...body.pose import Pose, rest_pose
@@ -19,6 +18,7 @@ from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
 from ..anatomy.close_joints import hidden_joints, hinges
+from .given_centres import GivenCentres
 
 #: mean squared rotation, squared radians, below which a motion does not determine a centre: (1 degree)²
 MIN_ROTATION = 0.02**2
@@ -32,6 +32,11 @@ FIXED_WEIGHT = 1e4
 #: with a given skeleton, a rotation from rest costs this share of what it costs to move the vertices below the joint by
 #: as much at a distance of `LEVER` times the body's diagonal
 ROTATION_WEIGHT, LEVER = 1e-3, 0.05
+#: a centre stays within this number of its distances from the surface, and at least within this share of the body's diagonal,
+#: of its position in a given skeleton
+MAX_DEPTHS, MIN_RADIUS = 2.0, 0.015
+#: weight of the distance beyond that, relative to a movement of all vertices below the joint by as much
+BEYOND_WEIGHT = 10.0
 #: damping of a centre relative to the weight of its prior
 DAMPING = 30.0
 #: radii of its cut within which a centre is not penalised
@@ -47,6 +52,9 @@ class JointCentrePrior(eqx.Module):
     There the prior decides: the middle of the cut, or the centre in a given skeleton. Across a hinge, and
     where joints rotate freely, the prior is hundreds of times weaker than the data. It fades for exact data.
 
+    Whatever the data say, a centre is pulled back into a sphere around its mean: sliding cloth looks like a rotation about a
+    distant point.
+
     Several joints of a limb share a rotation that only one of them has to make: about the axis of a forearm, elbow and wrist.
     With a given skeleton, a weak prior at rest keeps each from making far too much of it.
     """
@@ -60,11 +68,26 @@ class JointCentrePrior(eqx.Module):
     damping: Float[Array, "J 3 3"]
     #: weight of a squared rotation from rest in each mesh, vertices times metres squared
     rotations: Float[Array, "F J"]
+    #: radii of the spheres around the means, metres; infinite where there are none
+    radii: Float[Array, "J"]
+    #: weight of the distance from the spheres, in numbers of vertices
+    beyond: Float[Array, "J"]
 
     def energy(self, centres: Float[Array, "J 3"]) -> Float[Array, ""]:
-        """Compute half the weighted squares of the distances of centres from their means, metres squared."""
+        """Compute half the weighted squares of the distances of centres from their means and spheres, metres squared."""
         away = centres - self.means
-        return 0.5 * jnp.einsum("ja,jab,jb->", away, self.weights, away)
+        outside = jnp.maximum(_lengths(away) - self.radii, 0.0)
+        return 0.5 * (jnp.einsum("ja,jab,jb->", away, self.weights, away) + jnp.sum(self.beyond * outside**2))
+
+    def pull(self, centres: Float[Array, "J 3"]) -> tuple[Float[Array, "J 3"], Float[Array, "J 3 3"]]:
+        """Return the negative gradient of `energy` by the centres, and the curvature of the distances from the spheres."""
+        away = centres - self.means
+        length = _lengths(away)
+        outside = jnp.maximum(length - self.radii, 0.0)
+        direction = away / length[:, None]
+        back = jnp.einsum("jab,jb->ja", self.weights, away) + (self.beyond * outside)[:, None] * direction
+        stiff = jnp.where(outside > 0, self.beyond, 0.0)
+        return -back, stiff[:, None, None] * direction[:, :, None] * direction[:, None, :]
 
     def rotation_energy(self, skeleton: Skeleton, poses: Pose) -> Float[Array, ""]:
         """Compute half the weighted squares of the rotations of ball joints from rest in all poses, metres squared."""
@@ -80,33 +103,6 @@ class JointCentrePrior(eqx.Module):
         stiffness = jnp.zeros((len(self.rotations), skeleton.num_dofs), self.rotations.dtype)
         stiffness = stiffness.at[:, slots].set(self.rotations[:, balls, None])
         return stiffness, jax.vmap(difference, (None, 0, None))(skeleton, poses, rest_pose(skeleton))
-
-
-class GivenCentres(NamedTuple):
-    """Joint centres of a given skeleton; with `is_fixed` they are fixed."""
-
-    centres: Float[Array, "J 3"]
-    is_fixed: bool = False
-    #: unit normals of the planes through joints on the middle of the body, in which their centres stay; zero for other
-    #: joints; None if there are no such planes
-    normals: Float[Array, "J 3"] | None = None
-
-
-Given = TypeVar("Given", bound=GivenCentres)
-
-
-def onto_middle(centres: Float[Array, "J 3"], given: GivenCentres) -> Float[Array, "J 3"]:
-    """Move the joints on the middle of the body sideways, so that all are as far from the given planes."""
-    assert given.normals is not None
-    away = jnp.sum((centres - given.centres) * given.normals, 1)
-    members = jnp.any(given.normals != 0, 1)
-    mean = jnp.sum(away * members) / jnp.maximum(members.sum(), 1)
-    return centres + jnp.where(members, mean - away, 0.0)[:, None] * given.normals
-
-
-def replace_centres(given: Given, centres: Float[Array, "J 3"]) -> Given:
-    """Give new centres; those on the middle of the body all move sideways by the same distance."""
-    return given._replace(centres=centres if given.normals is None else onto_middle(centres, given))
 
 
 def given_centre_prior(
@@ -130,7 +126,10 @@ def given_centre_prior(
     weights = np.einsum(
         "jab,jb,jcb->jac", axes, np.full_like(pull, FIXED_WEIGHT) if given.is_fixed else pull, axes
     )
-    return _given_prior(body, given.centres, weights, len(poses.rotations), frame_weights)
+    prior = _given_prior(body, given.centres, weights, len(poses.rotations), frame_weights)
+    depths = KDTree(np.asarray(body.vertices, float)).query(np.asarray(given.centres, float))[0]
+    radii = np.maximum(MAX_DEPTHS * depths, MIN_RADIUS * diagonal(body))
+    return eqx.tree_at(lambda p: p.radii, prior, jnp.asarray(radii, prior.radii.dtype))
 
 
 def fixed_centre_prior(
@@ -148,8 +147,10 @@ def _given_prior(
     frames = _frame_weights(num_frames, frame_weights)
     weights = (frames.sum() * counts)[:, None, None] * weights
     stiffness = ROTATION_WEIGHT * (LEVER * diagonal(body)) ** 2 * np.outer(frames, counts)
+    spheres = np.full(len(counts), np.inf), BEYOND_WEIGHT * frames.sum() * counts
     dtype = body.vertices.dtype
-    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (centres, weights, weights, stiffness)))
+    fields = (centres, weights, weights, stiffness, *spheres)
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in fields))
 
 
 def rotation_that_determines(body: Body, variance: float) -> float:
@@ -183,6 +184,11 @@ def given_pull(
     `least`.
     """
     return least**2 / (information + least)
+
+
+def _lengths(vectors: Float[Array, "J 3"]) -> Float[Array, "J"]:
+    """Compute lengths, with finite derivatives at zero."""
+    return jnp.sqrt(jnp.sum(vectors**2, 1) + jnp.finfo(vectors.dtype).tiny)
 
 
 def _frame_weights(count: int, weights: Float[Array, "F"] | None) -> Float[np.ndarray, "F"]:
@@ -234,7 +240,9 @@ def boundary_centre_prior(
     scale = (frames.sum() * vertices_below(body) * (count > 0))[:, None, None]
     hold, weights = (scale * (share * weights + back) for share in (DAMPING, 1.0))
     dtype, free = body.vertices.dtype, np.zeros((len(frames), len(scale)))
-    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in (middles, weights, hold, free)))
+    spheres = np.full(len(scale), np.inf), np.zeros(len(scale))
+    fields = (middles, weights, hold, free, *spheres)
+    return JointCentrePrior(*(jnp.asarray(field, dtype) for field in fields))
 
 
 def motion_information(

@@ -36,8 +36,8 @@ from ...geometry.laplacian import (
 )
 from ..objective import objective
 from .centre_constraints import KeptBones, MiddlePlanes, kept_bones, middle_planes
+from .given_centres import GivenCentres
 from .joint_centre_prior import (
-    GivenCentres,
     JointCentrePrior,
     boundary_centre_prior,
     fixed_centre_prior,
@@ -332,9 +332,10 @@ def _add_prior(
     """Add the prior on centres and rotations to the normal equations; its damping does not depend on its strength."""
     skeleton = body.skeleton
     count, chosen = skeleton.num_joints, np.array(slots, int)
-    pull = strength * jnp.einsum("jab,jb->ja", prior.weights, prior.means - skeleton.centres)
+    pull, stiff = prior.pull(skeleton.centres)
+    pull = strength * pull
     wide = jnp.zeros((count, 6, count, 6), pull.dtype)
-    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(prior.damping)
+    wide = wide.at[np.arange(count), :3, np.arange(count), :3].set(prior.damping + strength * stiff)
     shared = arrow.shared + wide.reshape(6 * count, 6 * count)[chosen][:, chosen]
     stiffness, back = prior.rotations_to_rest(skeleton, poses)
     frames = BlockBanded(arrow.frames.blocks.at[:, 0].add(strength * jax.vmap(jnp.diag)(stiffness)))

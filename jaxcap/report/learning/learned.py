@@ -15,7 +15,7 @@ from ...io.table import write_json
 from ...learn.anatomy.joint_evidence import JointEvidence
 from ...learn.correctives.learn_correctives import LearnedCorrectives
 from ...learn.learn_body import COARSE_PREFIX
-from ...learn.skeleton.joint_centre_prior import GivenCentres
+from ...learn.skeleton.given_centres import GivenCentres
 from ...learn.symmetry.surface_symmetry import SurfaceSymmetry
 from ...observe.meshes import MeshSequence
 from ..pictures import error_pictures, new_figure

@@ -15,7 +15,7 @@ from jaxcap.body.symmetry import bone_pairs, find_left_right_pairs, length_diffe
 from jaxcap.geometry import rotation
 from jaxcap.learn.people.initialise_person import Reference, initialise_person
 from jaxcap.learn.people.joints_of_surface import joints_of_bones, joints_of_surface
-from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
+from jaxcap.learn.skeleton.given_centres import GivenCentres
 from tests.learn.people.made_limb import limb
 
 

@@ -26,7 +26,7 @@ from jaxcap.learn.people.person import LENGTHS, Person, repeat_meshes, repeated_
 from jaxcap.learn.people.rest_alignment import align_rest_poses, check_rest_alignment, rotate_at_rest
 from jaxcap.learn.people.rounds import evaluate, improve_people, make_mesh_metric
 from jaxcap.learn.people.shape_space import make_shape_space, person_body, refit_poses
-from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
+from jaxcap.learn.skeleton.given_centres import GivenCentres
 from jaxcap.learn.weights.improve_weights import PosedMeshes, improve_shared_weights, improve_weights
 from jaxcap.learn.weights.rest_vertices import fit_rest_vertices
 from jaxcap.observe.meshes import MeshSequence

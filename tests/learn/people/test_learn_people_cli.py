@@ -19,7 +19,7 @@ from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.learn.people.learn_people import LearnedPeople, PeopleState
 from jaxcap.learn.people.person import Person, repeat_meshes
 from jaxcap.learn.people.shape_space import make_shape_space
-from jaxcap.learn.skeleton.joint_centre_prior import GivenCentres
+from jaxcap.learn.skeleton.given_centres import GivenCentres
 from tests.learn.people.made_limb import limb
 
 SIZES = {"anna": (1.0, 0.06), "ben": (1.2, 0.07), "carl": (1.1, 0.05)}
