@@ -37,6 +37,8 @@ ROTATION_WEIGHT, LEVER = 1e-3, 0.05
 MAX_DEPTHS, MIN_RADIUS = 2.0, 0.015
 #: weight of the distance beyond that, relative to a movement of all vertices below the joint by as much
 BEYOND_WEIGHT = 10.0
+#: the least number of vertices that the prior of a joint counts: a part may lose all of its vertices while weights are learned
+MIN_VERTICES = 10
 #: damping of a centre relative to the weight of its prior
 DAMPING = 30.0
 #: radii of its cut within which a centre is not penalised
@@ -143,7 +145,7 @@ def fixed_centre_prior(
 def _given_prior(
     body: Body, centres: Array, weights: np.ndarray, num_frames: int, frame_weights: Array | None
 ) -> JointCentrePrior:
-    counts = vertices_below(body) * (np.array(body.skeleton.parents) >= 0)
+    counts = np.maximum(vertices_below(body), MIN_VERTICES) * (np.array(body.skeleton.parents) >= 0)
     frames = _frame_weights(num_frames, frame_weights)
     weights = (frames.sum() * counts)[:, None, None] * weights
     stiffness = ROTATION_WEIGHT * (LEVER * diagonal(body)) ** 2 * np.outer(frames, counts)
