@@ -340,8 +340,8 @@ def _round(state: LearnState, stage: _Stage, far: bool = False) -> LearnState:
     # each number of joints has its own compiled functions
     forget_many_compiled()
     poses, targets = state.motion.poses, stage.meshes.vertices
-    # the first update needs more sweeps; on all vertices, the weights are interpolated from learned ones
-    far = far or not any(name.endswith("weights") for name, _ in state.history)
+    # the first update on a mesh needs more sweeps
+    far = far or not _has(state, stage, "weights")
     effort = FIRST_SWEEPS if far else SWEEPS
     _LOG.info("round %d: weights", state.round + 1)
     better = improve_weights(state.body, poses, targets, stage.metric, sweeps=effort, coarse=far).body

@@ -45,7 +45,7 @@ from .joint_centre_prior import (
 )
 
 #: the least number of vertices from which the curvature is estimated
-SAMPLES = 1300
+SAMPLES = 4000
 #: steps with the same anchors; the least damping of the next update; the relative tolerance on Q
 STEPS, MIN_DAMPING, RTOL = 2, 1e-7, 1e-12
 
