@@ -107,12 +107,13 @@ def _distances(body: Body, pose: Pose, cloud: Cloud, ends: Sequence[End]) -> Flo
     points = _some(np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], MAX_SCAN_POINTS)
     owners = np.concatenate([np.full(end.vertices.sum(), number) for number, end in enumerate(ends)])
     tree = KDTree(np.concatenate([vertices[end.vertices] for end in ends]))
-    away, nearest = tree.query(points, distance_upper_bound=NEAR)
+    found = tree.query(points, distance_upper_bound=NEAR)
+    away, nearest = np.asarray(found[0]), np.asarray(found[1])
     near = _some(np.flatnonzero(np.isfinite(away)), MAX_POINTS)
-    found = nearest_at_vertices(points[near], vertices, np.asarray(body.faces), num_points=MAX_POINTS)
+    surface = nearest_at_vertices(points[near], vertices, np.asarray(body.faces), num_points=MAX_POINTS)
     owner = owners[nearest[near]]
     counts = np.bincount(owner, minlength=len(ends))
-    sums = np.bincount(owner, np.minimum(found.distances, FAR), len(ends))
+    sums = np.bincount(owner, np.minimum(surface.distances, FAR), len(ends))
     return np.where(counts >= MIN_POINTS, sums / np.maximum(counts, 1), np.nan)
 
 
