@@ -176,6 +176,7 @@ def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int)
 
 def _correct_slips(task: AdaptTask, state: AdaptState) -> AdaptState:
     """Correct hands whose fingers lie beside their own in some scans; the body was not adapted in these poses."""
+    _LOG.info("comparing hands with those in other scans")
     poses = {n: state.motion[n] for n in task.scanned}
     changed = correct_finger_slips(task, state, task.scanned, poses)
     if not changed:

@@ -104,6 +104,8 @@ def _usual_distances(
 def _distances(body: Body, pose: Pose, cloud: Cloud, ends: Sequence[End]) -> Float[np.ndarray, "E"]:
     """Compute the mean distance of the points near each end of a limb from the surface, metres; NaN for few points."""
     vertices = np.asarray(posed_vertices(body, pose), float)
+    if not np.isfinite(vertices).all():
+        return np.full(len(ends), np.nan)
     points = _some(np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], MAX_SCAN_POINTS)
     owners = np.concatenate([np.full(end.vertices.sum(), number) for number, end in enumerate(ends)])
     tree = KDTree(np.concatenate([vertices[end.vertices] for end in ends]))
