@@ -171,17 +171,23 @@ def _interpolate(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Arr
 def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
     """Correct flipped hands, and then hands whose fingers lie beside their own, which show with the actor's proportions."""
     correct = _correct_flips_unordered if task.settings.unordered else _correct_flips
-    return _correct_slips(task, (yield from correct(task, state, stage, every)))
+    found = yield from correct(task, state, stage, every)
+    corrected = _correct_slips(task, found)
+    if corrected is found:
+        return found
+    # the body was not adapted in these poses, and frames may have been lost by their hands
+    corrected = flag_frames(task, corrected._replace(chosen=(), history=state.history, terms=state.terms))
+    return append_history(task, corrected, str(stage), select_evenly(task.scanned))
 
 
 def _correct_slips(task: AdaptTask, state: AdaptState) -> AdaptState:
-    """Correct hands whose fingers lie beside their own in some scans; the body was not adapted in these poses."""
+    """Correct hands whose fingers lie beside their own in some scans; the same state if there are none."""
     _LOG.info("comparing hands with those in other scans")
     poses = {n: state.motion[n] for n in task.scanned}
     changed = correct_finger_slips(task, state, task.scanned, poses)
     if not changed:
         return state
-    return state._replace(motion=_interpolate_missing(task, poses | changed), chosen=())
+    return state._replace(motion=_interpolate_missing(task, poses | changed))
 
 
 def _correct_flips(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:

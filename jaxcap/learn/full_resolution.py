@@ -7,10 +7,14 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose
+from ..body.skin.interpolate import clamp_barycentric
 from ..geometry.mesh import area_normals
 from ..observe.meshes import MeshSequence
 from .decimated_meshes import DecimatedMeshes
 from .weights.rest_vertices import fit_rest_vertices
+
+#: least area of a triangle, as a share of the square of its longest edge
+MIN_AREA = 1e-6
 
 
 def corners_of_kept(
@@ -26,7 +30,10 @@ def corners_of_kept(
     **Arguments:** `shape` is any mesh of the sequence, metres.
     """
     count, faces = len(coarse.kept), np.asarray(coarse.meshes.faces)
-    faces = faces[np.linalg.norm(area_normals(shape[coarse.kept][faces]), axis=1) > 0]
+    corners_at = shape[coarse.kept][faces]
+    longest = np.max(np.sum((corners_at - np.roll(corners_at, 1, axis=1)) ** 2, axis=2), axis=1)
+    # barycentric coordinates need an area
+    faces = faces[np.linalg.norm(area_normals(corners_at), axis=1) > MIN_AREA * longest]
     order = np.argsort(faces.ravel(), kind="stable")
     triangles, starts = order // 3, np.searchsorted(faces.ravel()[order], np.arange(count + 1))
     number = np.diff(starts)[coarse.nearest]
@@ -43,7 +50,9 @@ def corners_of_kept(
     corners = np.repeat(coarse.nearest[:, None], 3, axis=1)
     shares = np.tile([1.0, 0.0, 0.0], (len(shape), 1))
     corners[found] = faces[tried[chosen]]
-    shares[found] = trimesh.triangles.points_to_barycentric(around[chosen], closest[chosen], "cross")
+    shares[found] = clamp_barycentric(
+        trimesh.triangles.points_to_barycentric(around[chosen], closest[chosen], "cross")
+    )
     return corners, shares
 
 

@@ -8,7 +8,7 @@ from adapt_scene import make_scene, task_of
 
 import jaxcap as jc
 from jaxcap.adapt.objective import PoseTerms
-from jaxcap.adapt.poses.finger_slips import correct_finger_slips, limb_end_planes
+from jaxcap.adapt.poses.finger_slips import correct_finger_slips, find_hands
 from jaxcap.adapt.poses.fit_frame import fit_pose
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.task import AdaptState
@@ -56,11 +56,11 @@ def test_fingers_that_lie_beside_their_own_are_corrected(rng):
         points, normals = sample_surface(surface, np.asarray(body.faces), 20_000, rng)
         clouds.append(jc.make_cloud(points + 0.001 * rng.normal(size=points.shape), normals))
     hand = skeleton.index("RightHand")
-    (end,) = (end for end in limb_end_planes(body) if end.joint == hand)
+    (palm,) = (found for found in find_hands(body) if found.joint == hand)
     wrong = (
         motion[1]
         .rotations.at[hand]
-        .set(rotation.multiply(motion[1].rotations[hand], rotation.exp(jnp.asarray(0.27 * end.normal))))
+        .set(rotation.multiply(motion[1].rotations[hand], rotation.exp(jnp.asarray(0.27 * palm.normal))))
     )
     task = make_adapt_task(body, clouds, 3.0, planes=())
     poses = {n: motion[n] for n in range(len(motion))}

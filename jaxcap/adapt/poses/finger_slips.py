@@ -1,5 +1,6 @@
 """Correction of hands whose fingers lie on the neighbours of their own: small steps do not lead from one finger to the next."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -20,21 +21,25 @@ from ...tracking.limb_flips import limb_ends
 from ..task import AdaptState, AdaptTask
 from .fit_frame import fit_task_poses
 
-#: rotations about the normal of the palm by about the width of a finger at its length, degrees
-SLIPS = (-15.0, 15.0)
-#: points of an end are at most so far from its vertices, metres; larger distances from the surface count as the second number
+#: rotations about the normal of the palm that are tried, by about the width of a finger at its length, degrees
+ANGLES = (0.0, -15.0, 15.0)
+#: largest diagonal of the box around a hand, as a share of that around the body, and the least number of its vertices
+MAX_SIZE, MIN_VERTICES = 0.13, 6
+#: points of a hand are at most so far from its vertices, metres; larger distances from the surface count as the second number
 NEAR, FAR = 0.03, 0.01
-#: an end is tried again if its points are farther from the surface than in most scans by this factor
+#: a hand is tried again if its points are farther from the surface than in most scans by this factor
 SUSPICIOUS = 1.4
-#: a rotated end is accepted if it lowers the distance of its points by at least this factor
+#: a rotated hand is accepted if its points are nearer than without the rotation by at least this factor
 ACCEPTED = 0.75
-#: the least number of points of an end, and the largest of all ends and of a scan, that are compared
+#: the least number of points of a hand, and the largest of all hands and of a scan, that are compared
 MIN_POINTS, MAX_POINTS, MAX_SCAN_POINTS = 20, 4096, 20_000
 #: steps of a pose after a rotation
 STEPS = 5
 
+_LOG = logging.getLogger(__name__)
 
-class End(NamedTuple):
+
+class Hand(NamedTuple):
     """The end of a limb: its joint, its vertices, and the normal of its flattest plane in the axes of the rest pose."""
 
     joint: int
@@ -45,78 +50,106 @@ class End(NamedTuple):
 def correct_finger_slips(
     task: AdaptTask, state: AdaptState, frames: Sequence[int], poses: Mapping[int, Pose]
 ) -> dict[int, Pose]:
-    """Rotate the ends of limbs by the width of a finger where this brings them much closer to their points.
+    """Rotate hands by the width of a finger where this brings them much closer to their points; feet likewise.
 
-    The distance of an end from its points is compared with the median over the frames, left and right together. Where it is
-    larger, the pose is fitted again, from the end rotated to either side.
+    The distance of a hand from its points is compared with the median over the frames, left and right together. Where it is
+    larger, the pose is fitted again: as it is, and with the hand rotated to either side.
 
     Returns the poses that change.
     """
-    body, ends = state.body, limb_end_planes(state.body)
-    if not ends:
-        return {}
+    body, hands = state.body, find_hands(state.body)
     poses, changed = dict(poses), {}
+    if not hands or not len(frames):
+        return changed
 
     def distances_of(frame: int) -> Float[np.ndarray, "E"]:
-        return _distances(body, poses[frame], task.cloud(frame), ends)
+        return _distances(body, [poses[frame]], task.cloud(frame), hands)[0]
 
     distances = np.stack(list(parallel_map(distances_of, frames)))
-    usual = _usual_distances(distances, body, ends)
-    for column, end in enumerate(ends):
-        rows = np.flatnonzero(distances[:, column] > SUSPICIOUS * usual[column])
-        tries = [(int(row), angle) for row in rows for angle in SLIPS]
-        scans = (task.scan(frames[row]) for row, _ in tries)
-        starts = [_rotated(poses[frames[row]], end, angle) for row, angle in tries]
-        least = ACCEPTED * distances[:, column]
-        fits = fit_task_poses(task, state, scans, starts, steps=STEPS)
-        for (row, _), fit in zip(tries, fits, strict=True):
-            frame = frames[row]
-            reached = _distances(body, fit.pose, task.cloud(frame), ends)[column]
-            if reached < least[row]:
-                least[row] = reached
-                poses[frame] = changed[frame] = fit.pose
+    usual = _usual_distances(distances, body, hands)
+    suspicious = np.argwhere((distances > SUSPICIOUS * usual).T)
+    if len(suspicious):
+        _LOG.info("trying %d hands that are far from their points, beside where they are", len(suspicious))
+    for column, row in suspicious.tolist():
+        frame, hand = frames[row], hands[column]
+        scan = task.scan(frame)
+        starts = [_rotated(poses[frame], hand, angle) for angle in ANGLES]
+        fits = list(fit_task_poses(task, state, [scan] * len(starts), starts, steps=STEPS))
+        reached = _distances(body, [fit.pose for fit in fits], task.cloud(frame), [hand])[:, 0]
+        best = int(np.nanargmin(reached)) if np.isfinite(reached).any() else 0
+        if reached[best] < ACCEPTED * reached[0] and fits[best].data <= fits[0].data:
+            poses[frame] = changed[frame] = fits[best].pose
     return changed
 
 
-def limb_end_planes(body: Body) -> list[End]:
-    """Find the ends of limbs, and the directions in which they are flattest."""
-    parts, rest = np.asarray(body.skin.dominant_bones()), np.asarray(body.vertices, float)
-    found = []
-    for joint in limb_ends(body):
-        own = body.skeleton.descendants[joint][parts]
-        found.append(End(joint, own, np.linalg.svd(rest[own] - rest[own].mean(0), full_matrices=False)[2][2]))
-    return found
+def find_hands(body: Body) -> list[Hand]:
+    """Find the small ends of limbs, hands and feet, each from the first joint that rotates all of it."""
+    skeleton, parts = body.skeleton, np.asarray(body.skin.dominant_bones())
+    rest = np.asarray(body.vertices, float)
+    largest = MAX_SIZE * _box_diagonal(rest)
+    below = skeleton.descendants[:, parts]
+
+    def is_small(joint: int) -> bool:
+        return bool(below[joint].any()) and _box_diagonal(rest[below[joint]]) <= largest
+
+    joints = set()
+    for end in limb_ends(body):
+        joint, above = end, skeleton.parents[end]
+        while above >= 0 and is_small(above):
+            joint = above if skeleton.kinds[above] == "ball" else joint
+            above = skeleton.parents[above]
+        if is_small(joint) and below[joint].sum() >= MIN_VERTICES:
+            joints.add(joint)
+    return [Hand(joint, below[joint], _flattest(rest[below[joint]])) for joint in sorted(joints)]
+
+
+def _box_diagonal(points: Float[np.ndarray, "N 3"]) -> float:
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def _flattest(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
+    """Compute the direction in which points are spread least."""
+    return np.linalg.eigh(np.cov(points.T))[1][:, 0]
 
 
 def _usual_distances(
-    distances: Float[np.ndarray, "F E"], body: Body, ends: Sequence[End]
+    distances: Float[np.ndarray, "F E"], body: Body, hands: Sequence[Hand]
 ) -> Float[np.ndarray, "E"]:
-    """Compute the median distance of each end and its counterpart on the other side over all frames; NaN without points."""
+    """Compute the median distance of each hand and its counterpart on the other side over all frames; NaN without points."""
     sides = {joint: set(pair) for pair in left_right_pairs_by_name(body.skeleton.names) for joint in pair}
     usual = []
-    for end in ends:
-        same = [other.joint in sides.get(end.joint, {end.joint}) for other in ends]
+    for hand in hands:
+        same = [other.joint in sides.get(hand.joint, {hand.joint}) for other in hands]
         known = distances[:, same][np.isfinite(distances[:, same])]
         usual.append(np.median(known) if len(known) else np.nan)
     return np.array(usual)
 
 
-def _distances(body: Body, pose: Pose, cloud: Cloud, ends: Sequence[End]) -> Float[np.ndarray, "E"]:
-    """Compute the mean distance of the points near each end of a limb from the surface, metres; NaN for few points."""
-    vertices = np.asarray(posed_vertices(body, pose), float)
-    if not np.isfinite(vertices).all():
-        return np.full(len(ends), np.nan)
+def _distances(
+    body: Body, poses: Sequence[Pose], cloud: Cloud, hands: Sequence[Hand]
+) -> Float[np.ndarray, "P E"]:
+    """Compute the mean distance of the points of each hand from the surface in several poses, metres; NaN for few points.
+
+    They are the points near the hand in any of the poses, the same in all.
+    """
+    surfaces = [np.asarray(posed_vertices(body, pose), float) for pose in poses]
+    if not all(np.isfinite(surface).all() for surface in surfaces):
+        return np.full((len(poses), len(hands)), np.nan)
     points = _some(np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], MAX_SCAN_POINTS)
-    owners = np.concatenate([np.full(end.vertices.sum(), number) for number, end in enumerate(ends)])
-    tree = KDTree(np.concatenate([vertices[end.vertices] for end in ends]))
-    found = tree.query(points, distance_upper_bound=NEAR)
-    away, nearest = np.asarray(found[0]), np.asarray(found[1])
-    near = _some(np.flatnonzero(np.isfinite(away)), MAX_POINTS)
-    surface = nearest_at_vertices(points[near], vertices, np.asarray(body.faces), num_points=MAX_POINTS)
-    owner = owners[nearest[near]]
-    counts = np.bincount(owner, minlength=len(ends))
-    sums = np.bincount(owner, np.minimum(surface.distances, FAR), len(ends))
-    return np.where(counts >= MIN_POINTS, sums / np.maximum(counts, 1), np.nan)
+    around = np.concatenate([surface[hand.vertices] for hand in hands for surface in surfaces])
+    owners = np.concatenate(
+        [np.full(len(poses) * hand.vertices.sum(), number) for number, hand in enumerate(hands)]
+    )
+    found = KDTree(around).query(points, distance_upper_bound=NEAR)
+    near = _some(np.flatnonzero(np.isfinite(found[0])), MAX_POINTS)
+    owner = owners[np.asarray(found[1])[near]]
+    counts = np.bincount(owner, minlength=len(hands))
+    rows = []
+    for surface in surfaces:
+        nearest = nearest_at_vertices(points[near], surface, np.asarray(body.faces), num_points=MAX_POINTS)
+        sums = np.bincount(owner, np.minimum(nearest.distances, FAR), len(hands))
+        rows.append(np.where(counts >= MIN_POINTS, sums / np.maximum(counts, 1), np.nan))
+    return np.stack(rows)
 
 
 def _some(rows: np.ndarray, most: int) -> np.ndarray:
@@ -124,9 +157,9 @@ def _some(rows: np.ndarray, most: int) -> np.ndarray:
     return rows[:: max(1, -(-len(rows) // most))]
 
 
-def _rotated(pose: Pose, end: End, degrees: float) -> Pose:
-    """Rotate the end of a limb about its normal."""
+def _rotated(pose: Pose, hand: Hand, degrees: float) -> Pose:
+    """Rotate a hand about its normal."""
     half = np.radians(degrees) / 2
-    step = jnp.asarray(np.append(np.cos(half), np.sin(half) * end.normal), pose.rotations.dtype)
-    turned = rotation.multiply(pose.rotations[end.joint], step)
-    return eqx.tree_at(lambda p: p.rotations, pose, pose.rotations.at[end.joint].set(turned))
+    step = jnp.asarray(np.append(np.cos(half), np.sin(half) * hand.normal), pose.rotations.dtype)
+    turned = rotation.multiply(pose.rotations[hand.joint], step)
+    return eqx.tree_at(lambda p: p.rotations, pose, pose.rotations.at[hand.joint].set(turned))

@@ -32,9 +32,9 @@ def free_small_joints(
 
     The vertices of the joint's subtree and those of its parent are moved as one rigid body, and as two. If the parent
     has too few vertices, the largest part below it decides: if it rotates about its own joint, and not about the parent's, then
-    all parts below the parent are free on both sides, and the parent only rotates about the bone that leads to it. So a hand that
-    bends at the base of the fingers has a wrist that only twists. Other joints without vertices of their own, such as those that
-    carry the hips, stay fixed.
+    all parts below the parent are free, and the parent only rotates about the bone that leads to it. So a hand that
+    bends at the base of the fingers has a wrist that only twists. Joints without vertices of their own, such as those that carry
+    the hips, stay fixed.
 
     **Arguments:** `labels` are the bones of the vertices; `rest` is their position in the shape of the skeleton.
     """
@@ -48,17 +48,19 @@ def free_small_joints(
     small = np.flatnonzero(fixed).tolist()
     for parent in sorted({skeleton.parents[joint] for joint in small}):
         parts = [joint for joint in small if skeleton.parents[joint] == parent]
+        bone = centres[parent] - centres[skeleton.parents[parent]]
         largest = max(parts, key=lambda joint: sizes[joint])
         if (labels == parent).sum() >= max(MIN_VERTICES, MIN_PARENT_SHARE * sizes[largest]):
             rotating = [
                 joint for joint in parts if _part_rotates(joint, skeleton, rest, shapes, labels, least)
             ]
-        elif _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least):
-            rotating = [side for joint in parts for side in sides.get(joint, (joint,))]
-            for twisting in sides.get(parent, (parent,)):
-                kinds[twisting] = "revolute"
-                bone = centres[twisting] - centres[skeleton.parents[twisting]]
-                axes[twisting, 0] = bone / np.linalg.norm(bone)
+        elif (
+            kinds[parent] == skeleton.kinds[parent] == "ball"
+            and np.linalg.norm(bone) > 0
+            and _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least)
+        ):
+            rotating = parts
+            kinds[parent], axes[parent, 0] = "revolute", bone / np.linalg.norm(bone)
         else:
             continue
         for joint in rotating:

@@ -32,8 +32,8 @@ FIXED_WEIGHT = 1e4
 #: with a given skeleton, a rotation from rest costs this share of what it costs to move the vertices below the joint by
 #: as much at a distance of `LEVER` times the body's diagonal
 ROTATION_WEIGHT, LEVER = 1e-3, 0.05
-#: a centre stays within this number of its distances from the surface, and at least within this share of the body's diagonal,
-#: of its position in a given skeleton
+#: a centre is pulled back if it is farther from its position in a given skeleton than this number of distances from there to the
+#: nearest vertex, and than this share of the body's diagonal
 MAX_DEPTHS, MIN_RADIUS = 2.0, 0.015
 #: weight of the distance beyond that, relative to a movement of all vertices below the joint by as much
 BEYOND_WEIGHT = 10.0
@@ -54,8 +54,8 @@ class JointCentrePrior(eqx.Module):
     There the prior decides: the middle of the cut, or the centre in a given skeleton. Across a hinge, and
     where joints rotate freely, the prior is hundreds of times weaker than the data. It fades for exact data.
 
-    Whatever the data say, a centre is pulled back into a sphere around its mean: sliding cloth looks like a rotation about a
-    distant point.
+    Whatever the data say, a centre outside of a sphere around its mean is pulled back: sliding cloth looks like a rotation about
+    a distant point.
 
     Several joints of a limb share a rotation that only one of them has to make: about the axis of a forearm, elbow and wrist.
     With a given skeleton, a weak prior at rest keeps each from making far too much of it.
