@@ -7,6 +7,7 @@ from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose
+from ..body.skin import AbstractSkin
 from ..body.skin.interpolate import clamp_barycentric
 from ..geometry.mesh import area_normals
 from ..observe.meshes import MeshSequence
@@ -56,11 +57,18 @@ def corners_of_kept(
     return corners, shares
 
 
+def interpolate_skin(body: Body, coarse: DecimatedMeshes, shape: Float[np.ndarray, "V 3"]) -> AbstractSkin:
+    """Interpolate the weights of a body of the kept vertices at all vertices.
+
+    **Arguments:** `shape` is any mesh of the sequence, metres.
+    """
+    return body.skin.transfer(*corners_of_kept(coarse, shape), body.skeleton)
+
+
 def transfer_to_all_vertices(body: Body, poses: Pose, coarse: DecimatedMeshes, meshes: MeshSequence) -> Body:
     """Interpolate the weights of a body of the kept vertices, and fit the rest position of each vertex to its own positions in
     the meshes."""
-    corners, shares = corners_of_kept(coarse, np.asarray(meshes.vertices[0], float))
-    skin = body.skin.transfer(corners, shares, body.skeleton)
-    # the rest position does not depend on that before
+    skin = interpolate_skin(body, coarse, np.asarray(meshes.vertices[0], float))
+    # the fitted rest position does not depend on the given one
     whole = Body(body.skeleton, skin, meshes.vertices[0], meshes.faces)
     return eqx.tree_at(lambda b: b.vertices, whole, fit_rest_vertices(whole, poses, meshes.vertices))

@@ -11,10 +11,11 @@ from jaxtyping import Array, Float, Int
 
 from ...adapt.shape.joint_regressor import make_joint_regressor
 from ...arguments import checked
-from ...body.body import take_vertices
+from ...body.body import Body, take_vertices
 from ...body.body_model import BodyModel
 from ...body.pose import Motion, take_poses
 from ...body.skeleton import Skeleton
+from ...body.skin import AbstractSkin
 from ...errors import InputError
 from ...fit.precision import with_precision
 from ...observe.meshes import MeshSequence
@@ -22,6 +23,7 @@ from ...value_checks import check_at_least
 from ..anatomy.choose_skeleton import SkeletonName, choose_skeleton
 from ..anatomy.find_person import PlacedPerson
 from ..decimated_meshes import DecimatedMeshes, coarse_alpha, decimate_meshes, num_coarse_vertices
+from ..full_resolution import interpolate_skin
 from ..initialise import SkinName
 from ..learn_body import COARSE_PREFIX, COARSE_SHARE, FIRST_DAMPING, FIRST_STEPS, MIN_DECREASE, learn_body
 from ..skeleton.given_centres import GivenCentres
@@ -292,7 +294,9 @@ def _improve_all(
         state = _improve(state, thin, round(COARSE_SHARE * rounds), on_round, prefix)
         if kept < count:
             _LOG.info("transferring the body to all vertices")
-            grown = [_give_all(*each, coarse) for each in zip(state.people, sequences, strict=True)]
+            # all people have the same weights
+            skin = interpolate_skin(state.people[0].body, coarse, np.asarray(sequences[0].vertices[0], float))
+            grown = [_give_all(*each, skin) for each in zip(state.people, sequences, strict=True)]
             state = state._replace(people=tuple(grown))
         state = state._replace(people=tuple(align_rest_poses(state.people)))
     fine = thin if kept == count else make_mesh_metric(faces, count, alpha)
@@ -351,9 +355,9 @@ def _with_targets(person: Person, sequence: MeshSequence, coarse: DecimatedMeshe
     return person._replace(targets=targets if whole else targets[:, jnp.asarray(coarse.kept)])
 
 
-def _give_all(person: Person, sequence: MeshSequence, coarse: DecimatedMeshes) -> Person:
-    """Give a person all vertices: each with the weights of the nearest kept one, and its best position at rest."""
-    body = take_vertices(person.body, jnp.asarray(coarse.nearest), sequence.faces)
+def _give_all(person: Person, sequence: MeshSequence, skin: AbstractSkin) -> Person:
+    """Give a person all vertices: with the weights of all people, and each in its best position at rest."""
+    body = Body(person.body.skeleton, skin, sequence.vertices[0], sequence.faces)
     targets = sequence.vertices[repeated_rows(len(sequence))]
     rest = fit_rest_vertices(body, person.poses, targets, person.frame_weights)
     return person._replace(body=eqx.tree_at(lambda b: b.vertices, body, rest), targets=targets)
