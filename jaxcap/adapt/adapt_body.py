@@ -169,7 +169,7 @@ def _interpolate(skeleton: Skeleton, before: Pose, after: Pose, share: Float[Arr
 
 
 def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int) -> Steps:
-    """Correct flipped hands, and then hands whose fingers lie beside their own, which show with the actor's proportions."""
+    """Correct flipped hands, and then hands whose fingers lie on their neighbours, which show with the actor's proportions."""
     correct = _correct_flips_unordered if task.settings.unordered else _correct_flips
     found = yield from correct(task, state, stage, every)
     corrected = _correct_slips(task, found)
@@ -181,7 +181,7 @@ def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int)
 
 
 def _correct_slips(task: AdaptTask, state: AdaptState) -> AdaptState:
-    """Correct hands whose fingers lie beside their own in some scans; the same state if there are none."""
+    """Correct hands whose fingers lie on their neighbours in some scans; the same state if there are none."""
     _LOG.info("comparing hands with those in other scans")
     poses = {n: state.motion[n] for n in task.scanned}
     changed = correct_finger_slips(task, state, task.scanned, poses)

@@ -47,7 +47,7 @@ def test_more_steps_are_never_worse_than_fewer(scene):
     assert values[-1] < 0.5 * values[0]
 
 
-def test_fingers_that_lie_beside_their_own_are_corrected(rng):
+def test_fingers_that_lie_on_their_neighbours_are_corrected(rng):
     body = jc.human(joints="tracking", resolution="medium")
     skeleton, motion = body.skeleton, walk_and_wave(body.skeleton, 1.0).slice(slice(0, None, 10))
     surfaces = [np.asarray(posed_vertices(body, motion[n]), float) for n in range(len(motion))]

@@ -69,7 +69,7 @@ def correct_finger_slips(
     usual = _usual_distances(distances, body, hands)
     suspicious = np.argwhere((distances > SUSPICIOUS * usual).T)
     if len(suspicious):
-        _LOG.info("trying %d hands that are far from their points, beside where they are", len(suspicious))
+        _LOG.info("trying %d hands that are far from their points, rotated to either side", len(suspicious))
     for column, row in suspicious.tolist():
         frame, hand = frames[row], hands[column]
         scan = task.scan(frame)
