@@ -34,13 +34,11 @@ from benchmarks.adaptation.adapt_people import ACTORS, TAKES, make_actor
 from benchmarks.learning._learning import learn, posed_vertices
 from benchmarks.report import finish, progress
 from jaxcap.adapt.adapt_body import adapt_body
-from jaxcap.adapt.objective import PoseTerms
-from jaxcap.adapt.poses.fit_frame import fit_pose
+from jaxcap.adapt.poses.fit_frame import fit_task_poses
 from jaxcap.adapt.prepare import make_adapt_task
 from jaxcap.adapt.registration.collect import RegisteredMeshes, collect_registered
 from jaxcap.adapt.registration.register_scans import register_scans
 from jaxcap.adapt.task import AdaptSettings, AdaptState, plan_stages
-from jaxcap.body.body import posed_vertices as posed_surface
 from jaxcap.body.retraction import retract
 from jaxcap.fit.fit_meshes import fit_meshes
 from jaxcap.geometry.closest import nearest_on_surface, positions_on_surface
@@ -170,15 +168,16 @@ def learned_error(meshes: MeshSequence, subject: Subject, frames: Sequence[int],
     held = np.arange(len(meshes)) % HOLD_OUT == HOLD_OUT - 1
     body = learn(meshes[np.flatnonzero(~held)], **options).body
     starts = fit_meshes(body, meshes[np.flatnonzero(held)]).motion
-    errors = []
-    for number, frame in enumerate(np.asarray(frames)[held].tolist()):
-        surface = scan(subject, frame, EXACT)
-        task = make_adapt_task(body, [surface], 30.0, planes=())
-        terms = PoseTerms(task.prior, PRIOR_WEIGHT)
-        pose = fit_pose(body, surface, starts[number], terms, task.settings.matching, steps=POSE_STEPS).pose
-        vertices = np.asarray(posed_surface(body, pose), float)
-        errors.append(scan_to_surface(subject.vertices[frame], vertices, np.asarray(meshes.faces)).mean())
-    return 1000 * float(np.mean(errors))
+    others = np.asarray(frames)[held].tolist()
+    surfaces = [scan(subject, frame, EXACT) for frame in others]
+    task = make_adapt_task(body, surfaces, settings=AdaptSettings(unordered=False), planes=())
+    state = AdaptState(0, body, 1.0, starts, pose_weight=PRIOR_WEIGHT)
+    scans, first = (task.scan(number) for number in task.scanned), (starts[number] for number in task.scanned)
+    fits = fit_task_poses(task, state, scans, first, steps=POSE_STEPS)
+    fitted = posed_vertices(body, jc.stack_poses([fit.pose for fit in fits], 30.0))
+    faces = np.asarray(meshes.faces)
+    pairs = zip(subject.vertices[others], fitted, strict=True)
+    return 1000 * float(np.mean([scan_to_surface(points, surface, faces) for points, surface in pairs]))
 
 
 def measure(subject: Subject, result: Result, options: dict | None) -> dict[str, float]:

@@ -183,10 +183,10 @@ def _correct_hands(task: AdaptTask, state: AdaptState, stage: Stage, every: int)
 def _correct_slips(task: AdaptTask, state: AdaptState) -> AdaptState:
     """Correct hands whose fingers lie on their neighbours in some scans; the same state if there are none."""
     _LOG.info("comparing hands with those in other scans")
-    poses = {n: state.motion[n] for n in task.scanned}
-    changed = correct_finger_slips(task, state, task.scanned, poses)
+    changed = correct_finger_slips(task, state)
     if not changed:
         return state
+    poses = {n: state.motion[n] for n in task.scanned}
     return state._replace(motion=_interpolate_missing(task, poses | changed))
 
 

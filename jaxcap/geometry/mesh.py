@@ -16,6 +16,11 @@ def array_module(array: Array | np.ndarray) -> Any:
     return np if isinstance(array, np.ndarray) else jnp
 
 
+def box_diagonal(points: Float[Array | np.ndarray, "N 3"]) -> float:
+    """Compute the diagonal of the bounding box of points, in their unit."""
+    return float(np.linalg.norm(np.ptp(np.asarray(points, float), axis=0)))
+
+
 def area_normals(triangles: Float[Floats, "*F 3 3"]) -> Float[Floats, "*F 3"]:
     """Compute normals of triangles from their corners, with twice the area as length; zero for a degenerate one."""
     a, b, c = (triangles[..., corner, :] for corner in range(3))

@@ -2,20 +2,16 @@
 
 import equinox as eqx
 import numpy as np
-import trimesh
 from jaxtyping import Float, Int
 
 from ..body.body import Body
 from ..body.pose import Pose
 from ..body.skin import AbstractSkin
-from ..body.skin.interpolate import clamp_barycentric
-from ..geometry.mesh import area_normals
+from ..geometry.closest import closest_barycentric
+from ..geometry.mesh import corners_at_vertices
 from ..observe.meshes import MeshSequence
 from .decimated_meshes import DecimatedMeshes
 from .weights.rest_vertices import fit_rest_vertices
-
-#: least area of a triangle, as a share of the square of its longest edge
-MIN_AREA = 1e-6
 
 
 def corners_of_kept(
@@ -30,30 +26,16 @@ def corners_of_kept(
 
     **Arguments:** `shape` is any mesh of the sequence, metres.
     """
-    count, faces = len(coarse.kept), np.asarray(coarse.meshes.faces)
-    corners_at = shape[coarse.kept][faces]
-    longest = np.max(np.sum((corners_at - np.roll(corners_at, 1, axis=1)) ** 2, axis=2), axis=1)
-    # barycentric coordinates need an area
-    faces = faces[np.linalg.norm(area_normals(corners_at), axis=1) > MIN_AREA * longest]
-    order = np.argsort(faces.ravel(), kind="stable")
-    triangles, starts = order // 3, np.searchsorted(faces.ravel()[order], np.arange(count + 1))
-    number = np.diff(starts)[coarse.nearest]
-    vertices = np.repeat(np.arange(len(shape)), number)
-    within = np.arange(len(vertices)) - np.repeat(np.cumsum(number) - number, number)
-    tried = triangles[np.repeat(starts[coarse.nearest], number) + within]
-    around, points = shape[coarse.kept][faces[tried]], shape[vertices]
-    closest = trimesh.triangles.closest_point(around, points)
-    distances = np.linalg.norm(closest - points, axis=1)
+    faces = np.asarray(coarse.meshes.faces)
+    vertices, places = corners_at_vertices(faces, coarse.nearest)
+    around = faces[places // 3]
+    barycentric, squared = closest_barycentric(shape[coarse.kept][around], shape[vertices])
     # the first row of each vertex is that of its nearest triangle
-    rows = np.lexsort([distances, vertices])
+    rows = np.lexsort([squared, vertices])
     found, first = np.unique(vertices[rows], return_index=True)
-    chosen = rows[first]
     corners = np.repeat(coarse.nearest[:, None], 3, axis=1)
     shares = np.tile([1.0, 0.0, 0.0], (len(shape), 1))
-    corners[found] = faces[tried[chosen]]
-    shares[found] = clamp_barycentric(
-        trimesh.triangles.points_to_barycentric(around[chosen], closest[chosen], "cross")
-    )
+    corners[found], shares[found] = around[rows[first]], barycentric[rows[first]]
     return corners, shares
 
 

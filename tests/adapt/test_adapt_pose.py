@@ -1,4 +1,4 @@
-"""How the pose of one frame goes on: more steps are never worse than fewer, and fingers find their own."""
+"""Fits of poses: more steps are never worse than fewer, and hands on neighbouring fingers are corrected."""
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -65,14 +65,18 @@ def test_fingers_that_lie_on_their_neighbours_are_corrected(rng):
     task = make_adapt_task(body, clouds, 3.0, planes=())
     poses = {n: motion[n] for n in range(len(motion))}
     poses[1] = eqx.tree_at(lambda pose: pose.rotations, motion[1], wrong)
-    state = AdaptState(0, body, 1.0, motion, pose_weight=1e-8)
     fingers = body.skeleton.descendants[hand][np.asarray(body.skin.dominant_bones())]
 
     def error(pose):
         return np.linalg.norm(np.asarray(posed_vertices(body, pose)) - surfaces[1], axis=1)[fingers].mean()
 
     assert error(poses[1]) > 0.008
-    changed = correct_finger_slips(task, state, range(len(motion)), poses)
+
+    def correct(poses):
+        motion = jc.stack_poses(list(poses.values()), 3.0)
+        return correct_finger_slips(task, AdaptState(0, body, 1.0, motion, pose_weight=1e-8))
+
+    changed = correct(poses)
     assert list(changed) == [1]
     assert error(changed[1]) < 0.002
-    assert correct_finger_slips(task, state, range(len(motion)), poses | changed) == {}
+    assert correct(poses | changed) == {}

@@ -1,7 +1,7 @@
 """Correction of hands whose fingers lie on the neighbours of their own: small steps do not lead from one finger to the next."""
 
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,6 +15,8 @@ from ...body.pose import Pose
 from ...body.symmetry import left_right_pairs_by_name
 from ...fit.correspondence.nearest_at_vertices import nearest_at_vertices
 from ...geometry import rotation
+from ...geometry.mesh import box_diagonal
+from ...geometry.sampling import even_indices
 from ...observe.clouds import Cloud
 from ...parallel import parallel_map
 from ...tracking.limb_flips import limb_ends
@@ -47,23 +49,21 @@ class Hand(NamedTuple):
     normal: Float[np.ndarray, "3"]
 
 
-def correct_finger_slips(
-    task: AdaptTask, state: AdaptState, frames: Sequence[int], poses: Mapping[int, Pose]
-) -> dict[int, Pose]:
+def correct_finger_slips(task: AdaptTask, state: AdaptState) -> dict[int, Pose]:
     """Rotate hands by the width of a finger where this brings them much closer to their points; feet likewise.
 
-    The distance of a hand from its points is compared with the median over the frames, left and right together. Where it is
+    The distance of a hand from its points is compared with the median over all scans, left and right together. Where it is
     larger, the pose is fitted again: as it is, and with the hand rotated to either side.
 
-    Returns the poses that change.
+    Returns the poses that change, by their frames.
     """
-    body, hands = state.body, find_hands(state.body)
-    poses, changed = dict(poses), {}
-    if not hands or not len(frames):
-        return changed
+    body, hands, frames = state.body, find_hands(state.body), task.scanned
+    if not hands:
+        return {}
+    changed: dict[int, Pose] = {}
 
     def distances_of(frame: int) -> Float[np.ndarray, "E"]:
-        return _distances(body, [poses[frame]], task.cloud(frame), hands)[0]
+        return _distances(body, [state.motion[frame]], task.cloud(frame), hands)[0]
 
     distances = np.stack(list(parallel_map(distances_of, frames)))
     usual = _usual_distances(distances, body, hands)
@@ -72,13 +72,13 @@ def correct_finger_slips(
         _LOG.info("trying %d hands that are far from their points, rotated to either side", len(suspicious))
     for column, row in suspicious.tolist():
         frame, hand = frames[row], hands[column]
-        scan = task.scan(frame)
-        starts = [_rotated(poses[frame], hand, angle) for angle in ANGLES]
+        scan, pose = task.scan(frame), changed.get(frame, state.motion[frame])
+        starts = [_rotated(pose, hand, angle) for angle in ANGLES]
         fits = list(fit_task_poses(task, state, [scan] * len(starts), starts, steps=STEPS))
         reached = _distances(body, [fit.pose for fit in fits], task.cloud(frame), [hand])[:, 0]
         best = int(np.nanargmin(reached)) if np.isfinite(reached).any() else 0
         if reached[best] < ACCEPTED * reached[0] and fits[best].data <= fits[0].data:
-            poses[frame] = changed[frame] = fits[best].pose
+            changed[frame] = fits[best].pose
     return changed
 
 
@@ -86,11 +86,11 @@ def find_hands(body: Body) -> list[Hand]:
     """Find the small ends of limbs, hands and feet, each from the first joint that rotates all of it."""
     skeleton, parts = body.skeleton, np.asarray(body.skin.dominant_bones())
     rest = np.asarray(body.vertices, float)
-    largest = MAX_SIZE * _box_diagonal(rest)
+    largest = MAX_SIZE * box_diagonal(rest)
     below = skeleton.descendants[:, parts]
 
     def is_small(joint: int) -> bool:
-        return bool(below[joint].any()) and _box_diagonal(rest[below[joint]]) <= largest
+        return bool(below[joint].any()) and box_diagonal(rest[below[joint]]) <= largest
 
     joints = set()
     for end in limb_ends(body):
@@ -101,10 +101,6 @@ def find_hands(body: Body) -> list[Hand]:
         if is_small(joint) and below[joint].sum() >= MIN_VERTICES:
             joints.add(joint)
     return [Hand(joint, below[joint], _flattest(rest[below[joint]])) for joint in sorted(joints)]
-
-
-def _box_diagonal(points: Float[np.ndarray, "N 3"]) -> float:
-    return float(np.linalg.norm(np.ptp(points, axis=0)))
 
 
 def _flattest(points: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "3"]:
@@ -135,13 +131,15 @@ def _distances(
     surfaces = [np.asarray(posed_vertices(body, pose), float) for pose in poses]
     if not all(np.isfinite(surface).all() for surface in surfaces):
         return np.full((len(poses), len(hands)), np.nan)
-    points = _some(np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0], MAX_SCAN_POINTS)
+    points = np.asarray(cloud.points, float)[np.asarray(cloud.weights) > 0]
+    points = points[even_indices(len(points), MAX_SCAN_POINTS)]
     around = np.concatenate([surface[hand.vertices] for hand in hands for surface in surfaces])
     owners = np.concatenate(
         [np.full(len(poses) * hand.vertices.sum(), number) for number, hand in enumerate(hands)]
     )
     found = KDTree(around).query(points, distance_upper_bound=NEAR)
-    near = _some(np.flatnonzero(np.isfinite(found[0])), MAX_POINTS)
+    near = np.flatnonzero(np.isfinite(found[0]))
+    near = near[even_indices(len(near), MAX_POINTS)]
     owner = owners[np.asarray(found[1])[near]]
     counts = np.bincount(owner, minlength=len(hands))
     rows = []
@@ -152,14 +150,9 @@ def _distances(
     return np.stack(rows)
 
 
-def _some(rows: np.ndarray, most: int) -> np.ndarray:
-    """Take every n-th row, so that at most so many are left."""
-    return rows[:: max(1, -(-len(rows) // most))]
-
-
 def _rotated(pose: Pose, hand: Hand, degrees: float) -> Pose:
     """Rotate a hand about its normal."""
-    half = np.radians(degrees) / 2
-    step = jnp.asarray(np.append(np.cos(half), np.sin(half) * hand.normal), pose.rotations.dtype)
+    dtype = pose.rotations.dtype
+    step = rotation.about_axis(jnp.asarray(hand.normal, dtype), jnp.asarray(np.radians(degrees), dtype))
     turned = rotation.multiply(pose.rotations[hand.joint], step)
     return eqx.tree_at(lambda p: p.rotations, pose, pose.rotations.at[hand.joint].set(turned))

@@ -13,6 +13,7 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...body.skin import AbstractSkin, LinearSkin, RigidSkin, SwingTwistSkin
 from ...body.skin.swing_twist import add_base_weight, assign_bases
+from ...geometry.mesh import box_diagonal
 from ..skeleton.joint_tree import orient
 from ..skeleton.pose_from_parts import fit_poses, motion_moments
 from ..skeleton.reparent import BoneMotions, bone_motions, reparent_children
@@ -188,7 +189,7 @@ def fit_edited_poses(
 ) -> Pose:
     """Fit poses to given bone motions; bones without vertices count by the frame at their centre."""
     centres = np.asarray(skeleton.centres, float)
-    width = FRAME_WIDTH * float(np.linalg.norm(np.ptp(rest, axis=0)))
+    width = FRAME_WIDTH * box_diagonal(rest)
     frames = centres[:, None] + width * np.concatenate([np.eye(3), -np.eye(3)])
     points = np.concatenate([rest, frames.reshape(-1, 3)])
     owners = np.concatenate([labels, np.repeat(np.arange(len(centres)), 6)])

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 
 from ...body.body import Body
 from ...body.pose import Pose
+from ...geometry.mesh import box_diagonal
 from ...geometry.procrustes import nearest_rotation
 from ..skeleton.reparent import MAX_CENTRE_SHIFT, bone_motions, common_points
 from ..symmetry.surface_symmetry import SurfaceSymmetry
@@ -76,7 +77,7 @@ def mirror_groups(
     """
     partners = mirrored_joints(body, symmetry).partners
     rest = np.asarray(body.vertices, float)
-    points, size = symmetry.mirrored_points(rest), float(np.linalg.norm(np.ptp(rest, axis=0)))
+    points, size = symmetry.mirrored_points(rest), box_diagonal(rest)
     bones = bone_motions(body.skeleton, poses)
 
     def mirror(first: Split, second: Split) -> Split:

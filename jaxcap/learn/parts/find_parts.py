@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...geometry.mesh import box_diagonal
 from ...geometry.procrustes import rigid_errors, rigid_motions
 from ..skeleton.reference_mesh import choose_reference_mesh
 from ..symmetry.surface_symmetry import SurfaceSymmetry
@@ -91,7 +92,7 @@ def find_parts(
     curve = np.sqrt(merging.errors / len(meshes))
     is_fixed = num_parts is not None
     if num_parts is None:
-        num_parts = choose_num_parts(curve, float(np.linalg.norm(np.ptp(rest, axis=0))))
+        num_parts = choose_num_parts(curve, box_diagonal(rest))
     elif num_parts > len(curve):
         raise ValueError(
             f"The number of parts is {num_parts}; expected at most {len(curve)}, the number of "

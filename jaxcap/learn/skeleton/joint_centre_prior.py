@@ -17,6 +17,7 @@ from ...body.retraction import difference
 from ...body.skeleton import Skeleton, dof_layout
 from ...geometry import rotation
 from ...geometry.laplacian import Conformance, neighbour_pairs
+from ...geometry.mesh import box_diagonal
 from ..anatomy.close_joints import hidden_joints, hinges
 from .given_centres import GivenCentres
 
@@ -128,10 +129,9 @@ def given_centre_prior(
     weights = np.einsum(
         "jab,jb,jcb->jac", axes, np.full_like(pull, FIXED_WEIGHT) if given.is_fixed else pull, axes
     )
-    prior = _given_prior(body, given.centres, weights, len(poses.rotations), frame_weights)
     depths = KDTree(np.asarray(body.vertices, float)).query(np.asarray(given.centres, float))[0]
-    radii = np.maximum(MAX_DEPTHS * depths, MIN_RADIUS * diagonal(body))
-    return eqx.tree_at(lambda p: p.radii, prior, jnp.asarray(radii, prior.radii.dtype))
+    radii = np.maximum(MAX_DEPTHS * depths, MIN_RADIUS * box_diagonal(body.vertices))
+    return _given_prior(body, given.centres, weights, radii, len(poses.rotations), frame_weights)
 
 
 def fixed_centre_prior(
@@ -139,19 +139,25 @@ def fixed_centre_prior(
 ) -> JointCentrePrior:
     """Build anchors that keep all centres of a body where they are."""
     weights = np.broadcast_to(FIXED_WEIGHT * np.eye(3), (body.skeleton.num_joints, 3, 3))
-    return _given_prior(body, body.skeleton.centres, weights, num_frames, frame_weights)
+    radii = np.full(body.skeleton.num_joints, np.inf)
+    return _given_prior(body, body.skeleton.centres, weights, radii, num_frames, frame_weights)
 
 
 def _given_prior(
-    body: Body, centres: Array, weights: np.ndarray, num_frames: int, frame_weights: Array | None
+    body: Body,
+    centres: Array,
+    weights: np.ndarray,
+    radii: np.ndarray,
+    num_frames: int,
+    frame_weights: Array | None,
 ) -> JointCentrePrior:
     counts = np.maximum(vertices_below(body), MIN_VERTICES) * (np.array(body.skeleton.parents) >= 0)
     frames = _frame_weights(num_frames, frame_weights)
     weights = (frames.sum() * counts)[:, None, None] * weights
-    stiffness = ROTATION_WEIGHT * (LEVER * diagonal(body)) ** 2 * np.outer(frames, counts)
-    spheres = np.full(len(counts), np.inf), BEYOND_WEIGHT * frames.sum() * counts
+    stiffness = ROTATION_WEIGHT * (LEVER * box_diagonal(body.vertices)) ** 2 * np.outer(frames, counts)
+    beyond = BEYOND_WEIGHT * frames.sum() * counts
     dtype = body.vertices.dtype
-    fields = (centres, weights, weights, stiffness, *spheres)
+    fields = (centres, weights, weights, stiffness, radii, beyond)
     return JointCentrePrior(*(jnp.asarray(field, dtype) for field in fields))
 
 
@@ -161,7 +167,7 @@ def rotation_that_determines(body: Body, variance: float) -> float:
 
     **Arguments:** `variance` of a coordinate's error, squared metres.
     """
-    share = min(1.0, float(np.sqrt(variance)) / (ROUGH * diagonal(body)))
+    share = min(1.0, float(np.sqrt(variance)) / (ROUGH * box_diagonal(body.vertices)))
     return max(share * MIN_ROTATION_GIVEN, MIN_ROTATION)
 
 
@@ -202,11 +208,6 @@ def vertices_below(body: Body) -> Int[np.ndarray, "J"]:
     return body.skeleton.descendants[:, np.asarray(body.skin.dominant_bones())].sum(1)
 
 
-def diagonal(body: Body) -> float:
-    """Compute the diagonal of the bounding box of a body at rest, metres."""
-    return float(np.linalg.norm(np.ptp(np.asarray(body.vertices, float), axis=0)))
-
-
 def boundary_centre_prior(
     body: Body,
     poses: Pose,
@@ -234,7 +235,7 @@ def boundary_centre_prior(
     away = np.linalg.norm(np.asarray(body.skeleton.centres, float) - middles, axis=1)
     information, values, axes = motion_information(poses, frame_weights)
     pull = given_pull(np.maximum(values, 0.0), MIN_ROTATION)
-    doubt = variance / (variance + (EXACT * diagonal(body)) ** 2)
+    doubt = variance / (variance + (EXACT * box_diagonal(body.vertices)) ** 2)
     weights = doubt * np.einsum("jab,jb,jcb->jac", axes, pull, axes)
     beyond = np.einsum("jaa->j", information) / 3 * np.maximum(away / radii - 1, 0.0)
     back = beyond[:, None, None] * np.eye(3)

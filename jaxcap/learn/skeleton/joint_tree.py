@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton, make_skeleton
 from ...geometry import rotation
+from ...geometry.mesh import box_diagonal
 from ...geometry.sampling import even_indices
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.find_parts import RigidParts
@@ -63,7 +64,7 @@ def find_joint_tree(
     moved = np.einsum("fvab,vb->fva", parts.rotations[chosen][:, parts.labels], rest)
     surface = make_surface_graph(rest, moved + parts.translations[chosen][:, parts.labels], faces)
     areas = np.bincount(parts.labels, surface.areas, count)
-    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    size = box_diagonal(rest)
     means = np.stack([np.bincount(parts.labels, surface.areas * rest[:, i], count) for i in range(3)], 1)
     means = means / areas[:, None]
     if count == 1:

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from ...body.skeleton import Skeleton
+from ...geometry.mesh import box_diagonal
 
 #: absolute log ratio of two bone lengths and of two part areas that counts as one unit of dissimilarity
 LENGTH, AREA = 0.25, 0.5
@@ -48,7 +49,7 @@ def detect_left_right_pairs(skeleton: Skeleton, areas: Float[np.ndarray, "J"]) -
     lengths = np.array(
         [np.linalg.norm(centres[j] - centres[p]) if p >= 0 else 0.0 for j, p in enumerate(skeleton.parents)]
     )
-    floor = 0.02 * float(np.linalg.norm(np.ptp(centres, axis=0)))
+    floor = 0.02 * box_diagonal(centres)
     found: list[tuple[int, int]] = []
     for siblings in children:
         found += _siblings(siblings, children, np.maximum(lengths, floor), np.maximum(areas, 1e-12))

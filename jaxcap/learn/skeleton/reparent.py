@@ -10,6 +10,7 @@ from jaxtyping import Float, Int
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ...geometry import rotation
+from ...geometry.mesh import box_diagonal
 from ...geometry.spanning_tree import spanning_tree
 from ..parts.surface_graph import SurfaceGraph
 from .centres import PartBoundaries, find_boundaries, find_centres
@@ -48,7 +49,7 @@ def reparent_children(
     children = [j for j, above in enumerate(skeleton.parents) if above == joint]
     if not children:
         return {}
-    size = float(np.linalg.norm(np.ptp(rest, axis=0)))
+    size = box_diagonal(rest)
     ends = [parent, *children]
     positions = [centres[joint], *centres[children]]
     picked = [(a, b) for a in range(len(ends)) for b in range(a + 1, len(ends))]
@@ -82,7 +83,7 @@ def reparent_new_bone(
     existing joints and possible joints between the new bone and adjacent parts. An existing joint is only
     replaced by a clearly better one.
     """
-    count, size = skeleton.num_joints, float(np.linalg.norm(np.ptp(rest, axis=0)))
+    count, size = skeleton.num_joints, box_diagonal(rest)
     centres = np.asarray(skeleton.centres, float)
     reach = MAX_CENTRE_SHIFT * size
     old = [(joint, parent) for joint, parent in enumerate(skeleton.parents) if parent >= 0]

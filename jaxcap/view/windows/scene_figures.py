@@ -7,6 +7,7 @@ from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from ...geometry.camera import Camera
+from ...geometry.mesh import box_diagonal
 from ...io.meshes.mesh import Mesh
 from ..contents import Contents
 from ..figures.depth_figure import DepthFigure
@@ -65,7 +66,7 @@ class SceneFigures:
         for number, camera in enumerate(contents.cameras):
             _add_camera(scene, f"/cameras/{number}", camera)
         self._offsets = [np.zeros(3) for _ in self.columns]
-        size = float(np.linalg.norm(np.ptp(self.box(), axis=0)))
+        size = box_diagonal(self.box())
         # half a metre for people
         self._floor = add_floor(scene, 6 * max(size, 1.0), 0.5 * 10.0 ** np.floor(np.log10(max(size, 0.01))))
         self._pin = scene.add_icosphere(
