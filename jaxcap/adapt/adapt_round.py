@@ -1,6 +1,7 @@
 """A round of an adaptation: proportions, or joints and vertices, with some poses (Adaptation, 4.1.4)."""
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Iterable, Sequence
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,8 +23,10 @@ from .objective import CoefficientPrior, shared_problem
 from .poses.fit_frame import clamp_pose, fit_task_poses
 from .poses.pair_cache import PairCache
 from .poses.select_frames import spread_frames
+from .shape.choose_shape_weight import choose_shape_weight
 from .shape.joint_regressor import make_joint_regressor, regress_joints
 from .shape.reference import reference_body, shape_prior_of
+from .shape.shape_prior import ShapePrior
 from .shape.shape_space import fit_coefficients
 from .shape.vertex_adaptation import adapt_shape, adapt_together
 from .task import AdaptSettings, AdaptState, AdaptTask, Stage
@@ -35,6 +38,10 @@ TANGENTIAL_WEIGHT = 0.005
 DAMPING = 1e-3
 #: steps of each chosen frame's own pose before the first round; each round takes one more, on all unknowns
 STEPS = 2
+#: number of weights of the shape prior that the last round chooses from
+NUM_WEIGHTS = 4
+
+_LOG = logging.getLogger(__name__)
 
 
 def adapt_round(
@@ -108,16 +115,26 @@ def _surface(
     """Adapt joints within the skin and then vertices, or both in one step."""
     modes = joint_modes(state.body, move_surface=False)
     coefficient_prior = _regressed_joint_prior(task, state)
-    shape, weight = shape_prior_of(task, state), shape_weight(task.settings, stage)
+    shape, weights = shape_prior_of(task, state), shape_weights(task.settings, stage)
     if task.settings.simultaneous:
         pairs = stack_pairs(pair_cache.pairs(state.body, poses))
+        weight = _choose_weight(state.body, _stack(poses), pairs, shape, weights)
         problem = _problem(task, state, pairs, modes, coefficient_prior, task.left_right_pairs)
         body, stacked = adapt_together(problem, _stack(poses), pairs, shape, weight)
         return body, _unstack(stacked, poses)
     body, stacked, _ = _step(task, state, poses, pair_cache, modes, coefficient_prior, task.left_right_pairs)
     poses = _unstack(stacked, poses)
     pairs = stack_pairs(pair_cache.pairs(body, poses))
+    weight = _choose_weight(body, stacked, pairs, shape, weights)
     return adapt_shape(body, stacked, pairs, shape, weight), poses
+
+
+def _choose_weight(body: Body, poses: Pose, pairs, shape: ShapePrior, weights: Sequence[float]) -> float:
+    """Choose one of the weights of the shape prior, and log it."""
+    weight = choose_shape_weight(body, poses, pairs, shape, weights)
+    if len(weights) > 1:
+        _LOG.info("weight of the shape prior: %.3g, from %s", weight, ", ".join(f"{w:.3g}" for w in weights))
+    return weight
 
 
 def _step(
@@ -186,13 +203,16 @@ def _regressed_joint_prior(task: AdaptTask, state: AdaptState) -> CoefficientPri
     return CoefficientPrior(shifts, jnp.full_like(shifts, task.settings.joint_deviation))
 
 
-def shape_weight(settings: AdaptSettings, stage: Stage) -> float:
-    """Interpolate the weight of the shape term geometrically over a pass.
+def shape_weights(settings: AdaptSettings, stage: Stage) -> tuple[float, ...]:
+    """Return the weights of the shape term that a round chooses from.
 
-    The first pass begins with the first weight; later ones begin with the geometric mean of the first and the
-    last.
+    A round has a single one, interpolated geometrically over a pass. The first pass begins with the first weight; later ones begin
+    with the geometric mean of the first and the last. The last round of the last pass chooses between the last and the first.
     """
     first, last = settings.shape_weights
+    is_last = (stage.pass_number, stage.round) == (len(settings.rounds), settings.rounds[-1])
+    if is_last and first > last:
+        return tuple(np.geomspace(last, first, NUM_WEIGHTS).tolist())
     first = first if stage.pass_number == 1 else np.sqrt(first * last)
     share = (stage.round - 1) / max(settings.rounds[stage.pass_number - 1] - 1, 1)
-    return float(first ** (1 - share) * last**share)
+    return (float(first ** (1 - share) * last**share),)

@@ -45,7 +45,8 @@ class AdaptSettings(NamedTuple):
     proportion_rounds: int = 6
     #: rounds of vertices and joints in each pass
     rounds: tuple[int, ...] = (5, 3)
-    #: weights of the Laplacian term in the first and the last round
+    #: weights of the Laplacian term in the first and the last round; the last round of the last pass chooses one of four between them
+    #: by cross-validation, larger ones for noisier scans
     shape_weights: tuple[float, float] = (100.0, 3.0)
     #: weight of the pose prior; None uses a tenth of the weight that balances it with the data in the first
     #: frames (eq. 4.15)

@@ -1,8 +1,9 @@
 """Which stages an adaptation has, in which order."""
 
+import numpy as np
 import pytest
 
-from jaxcap.adapt.adapt_round import shape_weight
+from jaxcap.adapt.adapt_round import shape_weights
 from jaxcap.adapt.task import AdaptSettings, Stage, plan_stages
 
 
@@ -20,8 +21,14 @@ def test_the_plan_has_all_stages_and_weights_fall():
         "track",
         "pose",
     ]
-    weights = [shape_weight(settings, Stage("adapt", 1, step)) for step in (1, 5)]
-    assert weights == pytest.approx(list(settings.shape_weights))
+    first, last = settings.shape_weights
+    weights = [shape_weights(settings, Stage("adapt", 1, step)) for step in (1, 5)]
+    assert np.array(weights) == pytest.approx(np.array([[first], [last]]))
+    # the last one is chosen from several
+    choice = shape_weights(settings, Stage("adapt", 2, 3))
+    assert choice[0] == pytest.approx(last)
+    assert choice[-1] == pytest.approx(first)
+    assert list(choice) == sorted(choice)
     assert [stage.name for stage in plan_stages(AdaptSettings(proportion_rounds=0, rounds=()))] == [
         "size",
         "track",

@@ -1,12 +1,14 @@
 """The shape around every vertex: Laplacian vectors of meshes, their energy, sizes, and files."""
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from helpers import chain_body, random_pose
 
 import jaxcap as jc
+from jaxcap.adapt.shape.choose_shape_weight import choose_shape_weight
 from jaxcap.adapt.shape.shape_prior import (
     body_shape_prior,
     prior_edges,
@@ -14,8 +16,10 @@ from jaxcap.adapt.shape.shape_prior import (
     shape_energy,
     uniform_laplacian,
 )
+from jaxcap.adapt.shape.vertex_adaptation import adapt_shape
 from jaxcap.body.body import posed_vertices, scale_body
 from jaxcap.body.people.sample import select_diverse_poses
+from jaxcap.energy.data.pairs import PointPairs
 from jaxcap.geometry.mesh import mesh_edges
 from jaxcap.io.archives.npz import load_body_limits
 from jaxcap.io.archives.prior import load_shape_prior, shape_prior_size
@@ -189,3 +193,29 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
     np.savez(path, **{name: values for name, values in whole.items() if name != "shape.edges"})
     with pytest.raises(jc.InputError, match=r"'shape.edges' is missing"):
         load_shape_prior(path, BODY)
+
+
+def test_noisier_points_call_for_a_smoother_shape(rng):
+    """Of the weights, the one that is chosen has the smallest error, which the choice cannot know."""
+    poses = jc.stack_poses([random_pose(SKELETON, rng, 0.5) for _ in range(6)]).poses
+    rest = np.asarray(BODY.vertices)
+    bump = 0.05 * np.exp(-0.5 * np.sum(((rest - rest.mean(0)) / (0.5 * np.ptp(rest, 0))) ** 2, 1))
+    true = eqx.tree_at(lambda b: b.vertices, BODY, BODY.vertices + jnp.asarray(bump)[:, None])
+    meshes, count = np.asarray(posed_vertices(true, poses)), len(rest)
+    directions = rng.normal(size=(6, count, 3))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    ones = jnp.ones((6, count))
+    prior, weights = body_shape_prior(BODY, 2), (0.01, 1.0, 100.0)
+    chosen = []
+    for noise in (1e-5, 0.03):
+        points = meshes + noise * rng.normal(size=meshes.shape)
+        corners = jnp.broadcast_to(jnp.arange(count)[:, None], (6, count, 1))
+        pairs = PointPairs(corners, ones[..., None], jnp.asarray(points), jnp.asarray(directions), ones, ones)
+        bodies = [adapt_shape(BODY, poses, pairs, prior, weight) for weight in weights]
+        errors = [float(jnp.linalg.norm(body.vertices - true.vertices)) for body in bodies]
+        chosen.append(choose_shape_weight(BODY, poses, pairs, prior, weights))
+        assert chosen[-1] == weights[int(np.argmin(errors))]
+    assert chosen[0] < chosen[1]
+    # a single frame leaves nothing to compare with
+    alone = jax.tree.map(lambda leaf: leaf[:1], (poses, pairs))
+    assert choose_shape_weight(BODY, *alone, prior, weights) == weights[0]
