@@ -211,7 +211,7 @@ def shape_weights(settings: AdaptSettings, stage: Stage) -> tuple[float, ...]:
     """
     first, last = settings.shape_weights
     is_last = (stage.pass_number, stage.round) == (len(settings.rounds), settings.rounds[-1])
-    if is_last and first > last:
+    if is_last and stage.frames is None and first > last:
         return tuple(np.geomspace(last, first, NUM_WEIGHTS).tolist())
     first = first if stage.pass_number == 1 else np.sqrt(first * last)
     share = (stage.round - 1) / max(settings.rounds[stage.pass_number - 1] - 1, 1)

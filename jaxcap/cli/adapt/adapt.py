@@ -158,8 +158,8 @@ class Adapt:
     pose_weight: OptionalWeight = None
     """Weight of the pose prior. Default: a tenth of the weight that balances the prior with the scans."""
     shape_weight: Annotated[tuple[float, float], arg(metavar="FIRST LAST")] = AdaptSettings().shape_weights
-    """Weight of the template's shape in the first and in the last round that adapts vertices. With lower weights, the
-    body follows the scans more closely, including their noise."""
+    """Weight of the template's shape in the first round that adapts vertices, and the least one in the last round, which is
+    chosen by cross-validation. With lower weights, the body follows the scans more closely, including their noise."""
     first: OptionalCount = None
     """First frame: the number in the file names of a pattern, otherwise counted from 0."""
     last: OptionalCount = None
