@@ -11,11 +11,15 @@ import pytest
 
 from jaxcap.body.kinematics import forward_kinematics, joint_positions
 from jaxcap.body.pose import Motion
+from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
 from jaxcap.io.markers.subject import load_subject, save_subject
 from jaxcap.markers.motion.inverse_kinematics import (
+    INITIAL_SEARCH,
+    LABELLED_SEARCH,
     marker_residuals_of_frames,
     solve_doubtful_frames,
+    solve_each_frame,
     solve_markers,
 )
 from jaxcap.markers.motion.solve_frame import SearchCriteria, SolvedFrame
@@ -71,11 +75,47 @@ def test_bones_that_no_pose_explains_are_named(rng):
     """A tenth of the markers does not change the median; all of a bone's markers elsewhere leave it any rotation."""
     frames = seen_by(SUBJECT, moving(rng), rng)
     places, own = np.array(frames.positions), np.flatnonzero(np.asarray(SUBJECT.bones) == 4)
-    places[10:21, own] += 0.3 * rng.normal(size=(11, len(own), 3))
+    # out of the limb's reach
+    places[10:21, own] += [0, 0, 2.0] + 0.3 * rng.normal(size=(11, len(own), 3))
     solved = solve_markers(SUBJECT, MarkerFrames(places, frames.visible, SUBJECT.labels, 100.0))
     name = SUBJECT.skeleton.names[4]
     assert not solved.lost.any() and len(solved.messages) == 1
     assert f"the markers of {name} in 11 frames (10 to 20)" in solved.messages[0]
+
+
+def test_distant_starts_lead_to_the_pose(rng):
+    """Markers of a limb that is not in place are no outliers in a first search; without it, they remain so in some frames."""
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    steps = np.zeros((len(motion), SUBJECT.skeleton.num_dofs))
+    steps[:, 6:] = 1.5 * rng.normal(size=steps[:, 6:].shape)
+    starts = jax.vmap(retract, (None, 0, 0))(SUBJECT.skeleton, motion.poses, jnp.asarray(steps))
+    arrays = jnp.asarray(frames.positions), jnp.asarray(frames.visible)
+    alone, found = (
+        solve_each_frame(SUBJECT, starts, *arrays, search) for search in (INITIAL_SEARCH, LABELLED_SEARCH)
+    )
+    assert (np.asarray(alone.residuals) > FAR).any(1).sum() > 0
+    assert np.asarray(found.residuals).max() < 0.01
+    assert errors(Motion(found.pose, 100.0), motion).max() < 0.01
+
+
+def test_a_single_marker_that_stays_far_off_is_solved_again(rng):
+    """Other markers of the limb have no far residual, so that the pose follows a wrong minimum for as long as it exists."""
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    positions, used = jnp.asarray(frames.positions), np.asarray(frames.visible)
+    right = solve_each_frame(SUBJECT, motion.poses, positions, jnp.asarray(used), LABELLED_SEARCH)
+    starts = eqx.tree_at(
+        lambda p: p.rotations, motion.poses, motion.poses.rotations.at[:, 4].set([0, 1, 0, 0])
+    )
+    own = int(np.flatnonzero(np.asarray(SUBJECT.bones) == 4)[0])
+    lengths = right.residuals.at[10:20, own].set(0.09)
+    wrong = right._replace(
+        pose=jax.tree.map(lambda a, b: a.at[10:20].set(b[10:20]), right.pose, starts), residuals=lengths
+    )
+    mended = solve_doubtful_frames(SUBJECT, positions, used, used.any(1), wrong, None)
+    assert np.asarray(mended.residuals).max() < FAR
+    assert errors(Motion(mended.pose, 100.0), motion).max() < 0.01
 
 
 def test_a_limb_in_a_wrong_minimum_is_solved_again(rng):

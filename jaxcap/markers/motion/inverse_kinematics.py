@@ -32,6 +32,8 @@ MAX_RESIDUAL_SCALE = 3.0
 CHUNK_SIZE = 256
 #: search of a frame from an initial guess
 INITIAL_SEARCH = SearchCriteria(max_iterations=40, tolerance=1e-4)
+#: the same for markers whose labels are right
+LABELLED_SEARCH = SearchCriteria(max_iterations=40, tolerance=1e-4, least_deviation=0.03)
 
 
 class MarkerSolution(NamedTuple):
@@ -146,7 +148,7 @@ def _solve_in_chunks(subject: Subject, positions, seen, search: SearchCriteria, 
 def _solve_chunk(
     subject: Subject, start: Pose, positions, seen, search: SearchCriteria, energy
 ) -> SolvedFrame:
-    far = solve_frame(subject, start, positions[0], seen[0], INITIAL_SEARCH, energy)
+    far = solve_frame(subject, start, positions[0], seen[0], LABELLED_SEARCH, energy)
 
     def follow(pose, frame):
         solved = solve_frame(subject, pose, frame[0], frame[1], search, energy)
@@ -159,18 +161,20 @@ def _solve_chunk(
 def solve_doubtful_frames(
     subject: Subject, positions, used, enough, solved: SolvedFrame, energy
 ) -> SolvedFrame:
-    """Solve doubtful frames again from an initial guess, and keep the solution with fewer far markers or a smaller median."""
+    """Solve doubtful frames again from an initial guess, and keep the solution with fewer far markers or a smaller median.
+
+    A frame is doubtful if its residuals are large, or if any marker is far from where the pose has it: the pose of a limb that
+    follows a wrong minimum leaves one or two of its markers far off, in all frames after it.
+    """
     is_poor = ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE)
-    doubtful = np.flatnonzero(
-        enough & (is_poor | unexplained_bones(subject, used, np.asarray(solved.residuals)).any(1))
-    )
+    doubtful = np.flatnonzero(enough & (is_poor | far_markers(used, np.asarray(solved.residuals)).any(1)))
     if not len(doubtful):
         return solved
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
     starts = estimate_initial_poses(subject, positions[padded], jnp.asarray(used[padded]))
     other = solve_each_frame(
-        subject, starts, positions[padded], jnp.asarray(used[padded]), INITIAL_SEARCH, energy
+        subject, starts, positions[padded], jnp.asarray(used[padded]), LABELLED_SEARCH, energy
     )
     some = take_rows(solved, doubtful), take_rows(other, slice(len(doubtful)))
     far, other_far = (far_markers(used[doubtful], np.asarray(one.residuals)).sum(1) for one in some)

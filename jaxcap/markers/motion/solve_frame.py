@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
@@ -32,6 +33,9 @@ class SearchCriteria(eqx.Module):
     max_iterations: int = eqx.field(static=True, default=12)
     #: squared length of the last step in standard deviations of the pose, those that the markers leave: its Newton decrement
     tolerance: float = eqx.field(static=True, default=0.01)
+    #: least standard deviation of a marker in a first search, metres: from a distant start, markers of a limb that is not yet in
+    #: place would otherwise be outliers, and remain so; zero for no such search
+    least_deviation: float = eqx.field(static=True, default=0.0)
 
 
 class SolvedFrame(NamedTuple):
@@ -110,11 +114,19 @@ def solve_frame(
         squared = jnp.sum(marker_residuals(subject, pose, positions) ** 2, 1)
         return squared, variance_ratio(squared * precision, counted)
 
-    def remake(pose):
-        return FrameProblem(subject, positions, precision / left(pose)[1], terms)
-
     solver = LevenbergMarquardt(0.0, 0.0, damping=1e-6, relative=True, energy_atol=search.tolerance)
-    pose, count = reweighted_least_squares(remake, start, solver, max_steps=search.max_iterations)
+
+    def find(start, least):
+        def remake(pose):
+            return FrameProblem(subject, positions, precision / (left(pose)[1] + least**2 * precision), terms)
+
+        return reweighted_least_squares(remake, start, solver, max_steps=search.max_iterations)
+
+    if search.least_deviation:
+        pose, counts = jax.lax.scan(find, start, jnp.array([search.least_deviation, 0.0], precision.dtype))
+        count = jnp.sum(counts)
+    else:
+        pose, count = find(start, jnp.zeros((), precision.dtype))
     squared, wide = left(pose)
     return SolvedFrame(
         pose,

@@ -17,7 +17,7 @@ from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ..subject import Subject, marker_body
 from .initial_pose import estimate_initial_poses
-from .inverse_kinematics import INITIAL_SEARCH, MAX_RESIDUAL_SCALE, MIN_MARKERS
+from .inverse_kinematics import LABELLED_SEARCH, MAX_RESIDUAL_SCALE, MIN_MARKERS
 from .solve_frame import SearchCriteria, solve_frame
 
 
@@ -77,7 +77,7 @@ def make_streamer(
     count, dtype = subject.num_markers, subject.offsets.dtype
     nothing = np.full((count, 3), np.nan, dtype)
     jax.block_until_ready(_solve(streamer, pose, nothing, search))
-    jax.block_until_ready(_solve(streamer, _guess(streamer, nothing), nothing, INITIAL_SEARCH))
+    jax.block_until_ready(_solve(streamer, _guess(streamer, nothing), nothing, LABELLED_SEARCH))
     return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), streamer.call_arguments.none_lost)
 
 
@@ -114,7 +114,7 @@ def stream_frame(
     if np.isfinite(state.residual_scale):
         found = _solve(streamer, state.pose, clean, streamer.search)
     if found is None or not float(found.residual_scale) < MAX_RESIDUAL_SCALE:
-        other = _solve(streamer, _guess(streamer, clean), clean, INITIAL_SEARCH)
+        other = _solve(streamer, _guess(streamer, clean), clean, LABELLED_SEARCH)
         if found is None or not float(found.residual_scale) <= float(other.residual_scale):
             found = other
     return found, found.pose
