@@ -127,9 +127,11 @@ def test_markers_are_kept_above_a_floor(rng):
     assert after.min() > before.min() + 0.002
     np.testing.assert_allclose(after[before > height + 0.01], before[before > height + 0.01], atol=2e-3)
     streamer, state = make_streamer(subject, terms=[floor])
-    for frame in range(3):
+    # in the next frame a limb can be raised in two ways, of which a stream keeps the first
+    for frame in range(2):
         state, pose = stream_frame(streamer, state, np.asarray(frames.positions)[frame])
-    assert float(marker_positions(subject, pose)[:, 1].min()) == pytest.approx(after[2], abs=2e-3)
+    assert before[1] < height - 0.1
+    assert float(marker_positions(subject, pose)[:, 1].min()) == pytest.approx(after[1], abs=2e-3)
     found = calibrate(frames, subject, num_frames=12, skin=False, terms=[floor])
     assert lowest_of(found.subject, found.motion.poses).min() > before.min() + 0.002
     with pytest.raises(InputError, match="vertices"):
