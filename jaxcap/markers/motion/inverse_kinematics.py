@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
+from scipy.ndimage import binary_opening
 
 from ...arguments import checked
 from ...body.pose import Motion, Pose
@@ -28,6 +29,8 @@ _LOG = logging.getLogger(__name__)
 MIN_MARKERS = 3
 #: a frame with a median residual above this many deviations is solved again from an initial guess
 MAX_RESIDUAL_SCALE = 3.0
+#: number of successive frames in which a single marker is far off, longer than most swaps of labels
+MIN_FAR_FRAMES = 10
 #: number of frames solved in sequence in one call; sequences are padded to multiples of it
 CHUNK_SIZE = 256
 #: search of a frame from an initial guess
@@ -163,11 +166,14 @@ def solve_doubtful_frames(
 ) -> SolvedFrame:
     """Solve doubtful frames again from an initial guess, and keep the solution with fewer far markers or a smaller median.
 
-    A frame is doubtful if its residuals are large, or if any marker is far from where the pose has it: the pose of a limb that
-    follows a wrong minimum leaves one or two of its markers far off, in all frames after it.
+    A frame is doubtful if its residuals are large, if all markers of a bone are far from where the pose has them, or if any marker
+    stays far off for `MIN_FAR_FRAMES`: the pose of a limb that follows a wrong minimum leaves one or two of its markers there.
     """
     is_poor = ~(np.asarray(solved.residual_scale) < MAX_RESIDUAL_SCALE)
-    doubtful = np.flatnonzero(enough & (is_poor | far_markers(used, np.asarray(solved.residuals)).any(1)))
+    distances = np.asarray(solved.residuals)
+    stays_far = binary_opening(far_markers(used, distances), np.ones((MIN_FAR_FRAMES, 1)))
+    unexplained = stays_far.any(1) | unexplained_bones(subject, used, distances).any(1)
+    doubtful = np.flatnonzero(enough & (is_poor | unexplained))
     if not len(doubtful):
         return solved
     size = 1 << (len(doubtful) - 1).bit_length()
