@@ -196,7 +196,7 @@ def test_a_prior_of_another_body_is_refused(tmp_path, pairs, poses, meshes):
 
 
 def test_noisier_points_call_for_a_smoother_shape(rng):
-    """Of the weights, the one that is chosen has the smallest error, which the choice cannot know."""
+    """The chosen weight is the one with the smallest error against the true body."""
     poses = jc.stack_poses([random_pose(SKELETON, rng, 0.5) for _ in range(6)]).poses
     rest = np.asarray(BODY.vertices)
     bump = 0.05 * np.exp(-0.5 * np.sum(((rest - rest.mean(0)) / (0.5 * np.ptp(rest, 0))) ** 2, 1))

@@ -127,7 +127,7 @@ def test_markers_are_kept_above_a_floor(rng):
     assert after.min() > before.min() + 0.002
     np.testing.assert_allclose(after[before > height + 0.01], before[before > height + 0.01], atol=2e-3)
     streamer, state = make_streamer(subject, terms=[floor])
-    # in the next frame a limb can be raised in two ways, of which a stream keeps the first
+    # in the next frame a limb can be raised in two ways, and a stream keeps the first one
     for frame in range(2):
         state, pose = stream_frame(streamer, state, np.asarray(frames.positions)[frame])
     assert before[1] < height - 0.1

@@ -24,8 +24,8 @@ def choose_shape_weight(
     Noise calls for more smoothness: the weight is the ratio of the variance of points to that of the Laplacian vectors of
     people around those of the prior. Every other frame is left out. A single frame has the least weight.
 
-    **Arguments:** `poses` and `pairs` stacked over frames; `weights` in ascending order, of which those beyond the first that
-    is worse than the one before are not tried.
+    **Arguments:** `poses` and `pairs` stacked over frames; `weights` in ascending order. The search ends at the first weight
+    that is worse than the one before.
     """
     out = jnp.arange(len(poses.rotations)) % 2 == 1
     if len(weights) == 1 or not out.any():
