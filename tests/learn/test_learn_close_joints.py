@@ -193,6 +193,30 @@ def test_the_base_of_the_fingers_is_free_if_the_hand_bends_there(rng):
     assert free_small_joints(skeleton, rest, shapes, labels).kinds[3:] == ("ball", "fixed")
 
 
+def test_a_thumb_is_free_if_it_moves_otherwise_than_the_fingers(rng):
+    skeleton, rest, shapes, labels = bending_hand(rng, pivot=1)
+    skeleton = jc.make_skeleton(
+        [*skeleton.names, "LThumb"],
+        [*skeleton.parents, 1],
+        [*skeleton.kinds, "fixed"],
+        np.concatenate([np.asarray(skeleton.centres), [[0.31, 0.03, 0]]]),
+    )
+    thumb = rng.uniform([0.31, 0.03, -0.01], [0.36, 0.06, 0.01], (12, 3))
+    rest, labels = np.concatenate([rest, thumb]), np.append(labels, [5] * 12)
+    angles = np.linspace(-0.6, 0.6, 9)
+    for turns, kind in ((0 * angles, "fixed"), (rng.permutation(angles), "ball")):
+        # the hand, with the thumb, about the wrist; the thumb about its own joint before
+        hand = Rotation.from_rotvec(angles[:, None] * [0, 0, 1])
+        own = Rotation.from_rotvec(turns[:, None] * [0, 1, 0])
+        bent = np.stack([turn.apply(thumb - thumb[0]) + thumb[0] for turn in own])
+        moved = np.stack(
+            [turn.apply(b - [0.3, 0, 0]) + [0.3, 0, 0] for turn, b in zip(hand, bent, strict=True)]
+        )
+        moved[4] += 0.1
+        freed = free_small_joints(skeleton, rest, np.concatenate([shapes, moved], 1), labels)
+        assert freed.kinds[1:3] + freed.kinds[5:] == ("ball", "fixed", kind)
+
+
 def test_two_points_do_not_rotate_a_part(rng):
     skeleton, rest, shapes, labels = bending_hand(rng, pivot=2)
     skeleton = dataclasses.replace(skeleton, kinds=("free", "ball", "ball", "ball", "ball"))

@@ -33,7 +33,8 @@ def free_small_joints(
     The vertices of the joint's subtree and those of its parent are moved as one rigid body, and as two. If the parent
     has too few vertices, the largest part below it decides: if it rotates about its own joint, and not about the parent's, then
     all parts below the parent are free, and the parent only rotates about the bone that leads to it. So a hand that
-    bends at the base of the fingers has a wrist that only twists. Joints without vertices of their own, such as those that carry
+    bends at the base of the fingers has a wrist that only twists. Else the largest part replaces the parent, so that the thumb
+    of a hand that bends at the wrist is compared with the fingers. Joints without vertices of their own, such as those that carry
     the hips, stay fixed.
 
     **Arguments:** `labels` are the bones of the vertices; `rest` is their position in the shape of the skeleton.
@@ -51,8 +52,9 @@ def free_small_joints(
         bone = centres[parent] - centres[skeleton.parents[parent]]
         largest = max(parts, key=lambda joint: sizes[joint])
         if (labels == parent).sum() >= max(MIN_VERTICES, MIN_PARENT_SHARE * sizes[largest]):
+            base = labels == parent
             rotating = [
-                joint for joint in parts if _part_rotates(joint, skeleton, rest, shapes, labels, least)
+                joint for joint in parts if _part_rotates(below[joint][labels], base, rest, shapes, least)
             ]
         elif (
             kinds[parent] == skeleton.kinds[parent] == "ball"
@@ -62,18 +64,21 @@ def free_small_joints(
             rotating = parts
             kinds[parent], axes[parent, 0] = "revolute", bone / np.linalg.norm(bone)
         else:
-            continue
+            base = below[largest][labels]
+            rotating = [
+                joint
+                for joint in parts
+                if joint != largest and _part_rotates(below[joint][labels], base, rest, shapes, least)
+            ]
         for joint in rotating:
             kinds[joint] = "ball"
     return dataclasses.replace(skeleton, kinds=tuple(kinds), axes=jnp.asarray(axes, skeleton.axes.dtype))
 
 
 def _part_rotates(
-    joint: int, skeleton: Skeleton, rest: np.ndarray, shapes: np.ndarray, labels: np.ndarray, least: float
+    own: np.ndarray, base: np.ndarray, rest: np.ndarray, shapes: np.ndarray, least: float
 ) -> bool:
-    """Test whether the vertices below a joint move otherwise than those of its parent."""
-    own = skeleton.descendants[joint][labels]
-    base = (labels == skeleton.parents[joint]) & ~own
+    """Test whether the vertices of a part, a mask, move otherwise than those of its base."""
     whole, alone, others = (_error(rest, shapes, rows) for rows in (own | base, own, base))
     explained = 1 - (alone + others) / max(whole, 1e-300)
     return bool(explained >= MIN_EXPLAINED and np.sqrt(whole / ((own | base).sum() * len(shapes))) >= least)
