@@ -56,11 +56,9 @@ def free_small_joints(
             rotating = [
                 joint for joint in parts if _part_rotates(below[joint][labels], base, rest, shapes, least)
             ]
-        elif (
-            kinds[parent] == skeleton.kinds[parent] == "ball"
-            and np.linalg.norm(bone) > 0
-            and _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least)
-        ):
+        elif not kinds[parent] == skeleton.kinds[parent] == "ball" or not np.linalg.norm(bone) > 0:
+            continue
+        elif _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least):
             rotating = parts
             kinds[parent], axes[parent, 0] = "revolute", bone / np.linalg.norm(bone)
         else:
