@@ -127,11 +127,14 @@ def test_markers_are_kept_above_a_floor(rng):
     assert after.min() > before.min() + 0.002
     np.testing.assert_allclose(after[before > height + 0.01], before[before > height + 0.01], atol=2e-3)
     streamer, state = make_streamer(subject, terms=[floor])
-    # in the next frame a limb can be raised in two ways, and a stream keeps the first one
-    for frame in range(2):
+    streamed = []
+    for frame in range(12):
         state, pose = stream_frame(streamer, state, np.asarray(frames.positions)[frame])
-    assert before[1] < height - 0.1
-    assert float(marker_positions(subject, pose)[:, 1].min()) == pytest.approx(after[1], abs=2e-3)
+        streamed.append(float(marker_positions(subject, pose)[:, 1].min()))
+    # from the third frame on a limb may be raised in two ways, and a stream keeps the first one
+    np.testing.assert_allclose(streamed[:2], after[:2], atol=2e-3)
+    assert min(streamed) > before.min() + 0.002
+    assert np.all(np.array(streamed) > before - 2e-3)
     found = calibrate(frames, subject, num_frames=12, skin=False, terms=[floor])
     assert lowest_of(found.subject, found.motion.poses).min() > before.min() + 0.002
     with pytest.raises(InputError, match="vertices"):

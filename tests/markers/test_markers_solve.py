@@ -14,6 +14,7 @@ from jaxcap.body.pose import Motion
 from jaxcap.body.retraction import retract
 from jaxcap.errors import InputError
 from jaxcap.io.markers.subject import load_subject, save_subject
+from jaxcap.markers.motion.doubtful_solutions import FAR, MIN_FAR_FRAMES
 from jaxcap.markers.motion.inverse_kinematics import (
     INITIAL_SEARCH,
     LABELLED_SEARCH,
@@ -24,9 +25,10 @@ from jaxcap.markers.motion.inverse_kinematics import (
 )
 from jaxcap.markers.motion.solve_frame import SearchCriteria, SolvedFrame
 from jaxcap.markers.motion.stream import make_streamer, stream_frame
-from jaxcap.markers.motion.unexplained_bones import FAR, unexplained_bones
+from jaxcap.markers.motion.unexplained_bones import unexplained_bones
 from jaxcap.markers.subject import shift_markers
 from jaxcap.observe.markers import MarkerFrames
+from jaxcap.stacking import stack_trees
 from tests.markers_limb import moving, seen_by, truth
 
 SUBJECT = truth()
@@ -193,6 +195,33 @@ def test_streaming_is_solving(rng):
     off = np.linalg.norm(live - np.asarray(_joints(whole.motion.poses)), axis=2)
     assert np.delete(off, 30, 0).max() < 5e-4
     np.testing.assert_array_equal(live[30], live[29])
+
+
+def test_a_stream_leaves_a_wrong_minimum(rng):
+    """A limb that another pose nearly explains keeps a marker far off; after `MIN_FAR_FRAMES` the stream searches again."""
+    motion = moving(rng)
+    frames = seen_by(SUBJECT, motion, rng)
+    steps = np.zeros((len(motion), SUBJECT.skeleton.num_dofs))
+    steps[:, 6:] = 2.0 * rng.normal(size=steps[:, 6:].shape)
+    starts = jax.vmap(retract, (None, 0, 0))(SUBJECT.skeleton, motion.poses, jnp.asarray(steps))
+    arrays = jnp.asarray(frames.positions), jnp.asarray(frames.visible)
+    followed = solve_each_frame(SUBJECT, starts, *arrays, SearchCriteria())
+    is_far = (np.asarray(followed.residuals) > FAR).any(1)
+    wrong = np.flatnonzero(is_far & (np.asarray(followed.residual_scale) < 2.0))
+    streamer, before = make_streamer(SUBJECT)
+    remained = []
+    for frame in wrong.tolist():
+        place = np.asarray(frames.positions)[frame]
+        state, _ = stream_frame(streamer, before, place)
+        state = state._replace(pose=Motion(followed.pose)[frame])
+        for _ in range(MIN_FAR_FRAMES - 1):
+            state, _ = stream_frame(streamer, state, place)
+        remained.append(np.count_nonzero(state.far_frames) > 0)
+        state, pose = stream_frame(streamer, state, place)
+        assert np.count_nonzero(state.far_frames) == 0
+        found, expected = _joints(stack_trees([pose, motion[frame]]))
+        np.testing.assert_allclose(found, expected, atol=0.01)
+    assert any(remained)
 
 
 def test_streamers_of_one_shape_share_their_programs():

@@ -13,26 +13,26 @@ from scipy.ndimage import binary_opening
 from ...arguments import checked
 from ...body.pose import Motion, Pose
 from ...energy.check_energies import UserTerms, check_finite_residuals, sum_user_terms
+from ...energy.energy import AbstractEnergy
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
 from ...stacking import concatenate, take_rows
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body
+from .doubtful_solutions import MAX_RESIDUAL_SCALE, MIN_FAR_FRAMES, far_markers, is_better
 from .initial_pose import estimate_initial_poses
 from .label_matching import match_markers
 from .solve_frame import SearchCriteria, SolvedFrame, solve_frame
-from .unexplained_bones import describe_unexplained, far_markers, unexplained_bones
+from .unexplained_bones import describe_unexplained, unexplained_bones
 
 _LOG = logging.getLogger(__name__)
 
 #: least number of visible markers in a frame; with fewer the pose of the whole body is undetermined
 MIN_MARKERS = 3
-#: a frame with a median residual above this many deviations is solved again from an initial guess
-MAX_RESIDUAL_SCALE = 3.0
-#: number of successive frames in which a single marker is far off, longer than most swaps of labels
-MIN_FAR_FRAMES = 10
 #: number of frames solved in sequence in one call; sequences are padded to multiples of it
 CHUNK_SIZE = 256
+#: the same for frames that do not depend on each other
+SEPARATE_SIZE = 32
 #: search of a frame from an initial guess
 INITIAL_SEARCH = SearchCriteria(max_iterations=40, tolerance=1e-4)
 #: the same for markers whose labels are right
@@ -107,17 +107,19 @@ def solve_from_poses(
     positions: Float[Array, "F M 3"],
     seen: Bool[Array, "F M"],
     search: SearchCriteria = SearchCriteria(),
+    energy: AbstractEnergy | None = None,
 ) -> SolvedFrame:
-    """Solve each frame from a pose of its own, independently of the other frames."""
+    """Solve each frame from a pose of its own, independently of the other frames and on all cores."""
     count = len(positions)
-    chunks = range(0, count, CHUNK_SIZE)
 
     def run(first: int) -> SolvedFrame:
-        rows = np.minimum(np.arange(first, first + CHUNK_SIZE), count - 1)
-        start = jax.tree.map(lambda leaf: leaf[rows], starts)
-        return jax.block_until_ready(solve_each_frame(subject, start, positions[rows], seen[rows], search))
+        rows = np.minimum(np.arange(first, first + SEPARATE_SIZE), count - 1)
+        start = take_rows(starts, rows)
+        return jax.block_until_ready(
+            solve_each_frame(subject, start, positions[rows], seen[rows], search, energy)
+        )
 
-    parts = parallel_map(run, chunks)
+    parts = parallel_map(run, range(0, count, SEPARATE_SIZE))
     return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
 
 
@@ -164,7 +166,7 @@ def _solve_chunk(
 def solve_doubtful_frames(
     subject: Subject, positions, used, enough, solved: SolvedFrame, energy
 ) -> SolvedFrame:
-    """Solve doubtful frames again from an initial guess, and keep the solution with fewer far markers or a smaller median.
+    """Solve doubtful frames again from an initial guess, and keep the better solution (`is_better`).
 
     A frame is doubtful if its residuals are large, if all markers of a bone are far from where the pose has them, or if any marker
     stays far off for `MIN_FAR_FRAMES`: the pose of a limb that follows a wrong minimum leaves one or two of its markers there.
@@ -179,16 +181,12 @@ def solve_doubtful_frames(
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
     starts = estimate_initial_poses(subject, positions[padded], jnp.asarray(used[padded]))
-    other = solve_each_frame(
-        subject, starts, positions[padded], jnp.asarray(used[padded]), LABELLED_SEARCH, energy
+    other = solve_from_poses(
+        subject, starts, positions[doubtful], jnp.asarray(used[doubtful]), LABELLED_SEARCH, energy
     )
-    some = take_rows(solved, doubtful), take_rows(other, slice(len(doubtful)))
-    far, other_far = (far_markers(used[doubtful], np.asarray(one.residuals)).sum(1) for one in some)
-    scale, other_scale = (np.asarray(one.residual_scale) for one in some)
-    # the few markers that are not far fit any pose
-    fits = (other_scale < MAX_RESIDUAL_SCALE) | ~(other_scale > scale)
-    is_better = ((other_far < far) & fits) | ((other_far == far) & ~(scale <= other_scale))
-    better = np.flatnonzero(is_better & np.isfinite(other_scale))
+    some = take_rows(solved, doubtful), other
+    num_far = np.stack([far_markers(used[doubtful], np.asarray(one.residuals)).sum(1) for one in some])
+    better = np.flatnonzero(is_better(num_far, np.stack([one.residual_scale for one in some])))
     if not len(better):
         return solved
     return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)

@@ -122,16 +122,13 @@ def solve_frame(
 
         return reweighted_least_squares(remake, start, solver, max_steps=search.max_iterations)
 
-    if search.least_deviation:
-        pose, counts = jax.lax.scan(find, start, jnp.array([search.least_deviation, 0.0], precision.dtype))
-        count = jnp.sum(counts)
-    else:
-        pose, count = find(start, jnp.zeros((), precision.dtype))
+    deviations = [search.least_deviation, 0.0] if search.least_deviation else [0.0]
+    pose, counts = jax.lax.scan(find, start, jnp.array(deviations, precision.dtype))
     squared, wide = left(pose)
     return SolvedFrame(
         pose,
         jnp.where(seen, jnp.sqrt(squared), 0.0),
         jnp.where(counted, robust_kernel(squared * precision / wide)[1], 0.0),
         jnp.sqrt(wide),
-        count,
+        jnp.sum(counts),
     )

@@ -16,8 +16,9 @@ from ...energy.check_energies import UserTerms, sum_user_terms
 from ...energy.energy import AbstractEnergy
 from ...errors import InputError
 from ..subject import Subject, marker_body
+from .doubtful_solutions import FAR, MAX_RESIDUAL_SCALE, MIN_FAR_FRAMES, is_better
 from .initial_pose import estimate_initial_poses
-from .inverse_kinematics import LABELLED_SEARCH, MAX_RESIDUAL_SCALE, MIN_MARKERS
+from .inverse_kinematics import LABELLED_SEARCH, MIN_MARKERS
 from .solve_frame import SearchCriteria, solve_frame
 
 
@@ -36,8 +37,9 @@ class Streamer(eqx.Module):
         fixed = tuple(None if eqx.is_array(leaf) else leaf for leaf in leaves)
         arrays = [leaf if eqx.is_array(leaf) else None for leaf in leaves]
         with jax.ensure_compile_time_eval():
-            none_lost = jnp.asarray(0)
-        return _CallArguments((fixed, structure), arrays, np.asarray(self.subject.weights) > 0, none_lost)
+            none_far, none_lost = jnp.zeros(self.subject.num_markers, int), jnp.asarray(0)
+        weighted = np.asarray(self.subject.weights) > 0
+        return _CallArguments((fixed, structure), arrays, none_far, weighted, none_lost)
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the fields alone: a copied or pickled structure of a tree of modules cannot be used."""
@@ -50,6 +52,8 @@ class _CallArguments(NamedTuple):
     #: leaves that are not arrays, and the structure of the tree; hashable
     structure: tuple[tuple, Any]
     arrays: PyTree[Array]
+    #: no far markers
+    none_far: Int[Array, "M"]
     #: false for markers that are not used
     weighted: Bool[np.ndarray, "M"]
     #: the number of consecutive lost frames after a solved one
@@ -62,6 +66,8 @@ class StreamState(NamedTuple):
     pose: Pose
     #: median residual in standard deviations; infinite before the first frame
     residual_scale: Float[Array, ""]
+    #: number of consecutive frames, up to this one, in which each marker is far from where the pose has it
+    far_frames: Int[Array, "M"]
     #: number of consecutive lost frames; zero after a solved frame
     num_lost: Int[Array, ""]
 
@@ -76,9 +82,11 @@ def make_streamer(
     pose = rest_pose(subject.skeleton)
     count, dtype = subject.num_markers, subject.offsets.dtype
     nothing = np.full((count, 3), np.nan, dtype)
-    jax.block_until_ready(_solve(streamer, pose, nothing, search))
-    jax.block_until_ready(_solve(streamer, _guess(streamer, nothing), nothing, LABELLED_SEARCH))
-    return streamer, StreamState(pose, jnp.asarray(jnp.inf, dtype), streamer.call_arguments.none_lost)
+    shared = streamer.call_arguments
+    state = StreamState(pose, jnp.asarray(jnp.inf, dtype), shared.none_far, shared.none_lost)
+    jax.block_until_ready(_solve(streamer, state, nothing, search))
+    jax.block_until_ready(_search(streamer, nothing))
+    return streamer, state
 
 
 @checked
@@ -93,9 +101,9 @@ def stream_frame(
     **Arguments:** `positions (M, 3)` metres in the order of the subject's markers, NaN where not visible;
     `seen (M,)`, if given, also masks markers.
 
-    A frame with fewer than `MIN_MARKERS` visible markers keeps the last pose. The first frame, and a frame that
-    the search from the last pose does not solve, is solved from an initial guess, which takes several times
-    as long.
+    A frame with fewer than `MIN_MARKERS` visible markers keeps the last pose. The first frame, a frame that the search from the
+    last pose does not solve, and one in which a marker stays far off for `MIN_FAR_FRAMES`, is solved from an initial guess, which
+    takes several times as long.
     """
     subject = streamer.subject
     positions = np.asarray(positions)
@@ -110,31 +118,39 @@ def stream_frame(
     if visible.sum() < MIN_MARKERS:
         return state._replace(num_lost=state.num_lost + 1), state.pose
     clean = np.where(visible[:, None], positions, np.nan).astype(subject.offsets.dtype)
-    found = None
-    if np.isfinite(state.residual_scale):
-        found = _solve(streamer, state.pose, clean, streamer.search)
-    if found is None or not float(found.residual_scale) < MAX_RESIDUAL_SCALE:
-        other = _solve(streamer, _guess(streamer, clean), clean, LABELLED_SEARCH)
-        if found is None or not float(found.residual_scale) <= float(other.residual_scale):
-            found = other
+    if not np.isfinite(state.residual_scale):
+        found = _search(streamer, clean)
+        return found, found.pose
+    found = _solve(streamer, state, clean, streamer.search)
+    far_frames = np.asarray(found.far_frames)
+    if not float(found.residual_scale) < MAX_RESIDUAL_SCALE or far_frames.max() >= MIN_FAR_FRAMES:
+        other = _search(streamer, clean)
+        num_far = np.count_nonzero([[far_frames], [other.far_frames]], axis=2)
+        better = is_better(num_far, np.array([[found.residual_scale], [other.residual_scale]])).all()
+        # not again before as many frames
+        found = other if better else found._replace(far_frames=streamer.call_arguments.none_far)
     return found, found.pose
 
 
-def _guess(streamer: Streamer, positions: Float[np.ndarray, "M 3"]) -> Pose:
-    """Estimate the pose of a frame without a pose before it."""
+def _search(streamer: Streamer, positions: Float[np.ndarray, "M 3"]) -> StreamState:
+    """Solve a frame from an estimate of its pose alone."""
     visible = np.isfinite(positions[:, :1])
     clean = jnp.asarray(np.where(visible, positions, 0.0))
     poses = estimate_initial_poses(streamer.subject, clean[None], jnp.asarray(visible[None, :, 0]))
-    return jax.tree.map(lambda leaf: leaf[0], poses)
+    shared, start = streamer.call_arguments, jax.tree.map(lambda leaf: leaf[0], poses)
+    before = StreamState(start, jnp.asarray(jnp.inf, positions.dtype), shared.none_far, shared.none_lost)
+    return _solve(streamer, before, positions, LABELLED_SEARCH)
 
 
 def _solve(
-    streamer: Streamer, start: Pose, positions: Float[np.ndarray, "M 3"], search: SearchCriteria
+    streamer: Streamer, before: StreamState, positions: Float[np.ndarray, "M 3"], search: SearchCriteria
 ) -> StreamState:
-    """Solve a frame from a start; NaN marks what is not visible, so that one array reaches the device."""
+    """Solve a frame from the pose before it; NaN marks what is not visible, so that one array reaches the device."""
     shared = streamer.call_arguments
-    pose, scale = _solve_compiled(shared.structure, search, shared.arrays, start, positions)
-    return StreamState(pose, scale, shared.none_lost)
+    pose, scale, far_frames = _solve_compiled(
+        shared.structure, search, shared.arrays, before.pose, before.far_frames, positions
+    )
+    return StreamState(pose, scale, far_frames, shared.none_lost)
 
 
 @partial(jax.jit, static_argnums=0)
@@ -143,12 +159,14 @@ def _solve_compiled(
     search: SearchCriteria,
     arrays: PyTree[Array],
     start: Pose,
+    far_frames: Int[Array, "M"],
     positions: Float[Array, "M 3"],
-) -> tuple[Pose, Float[Array, ""]]:
+) -> tuple[Pose, Float[Array, ""], Int[Array, "M"]]:
     fixed, tree = structure
     leaves = [one if array is None else array for one, array in zip(fixed, arrays, strict=True)]
     streamer = jax.tree.unflatten(tree, leaves)
     seen = jnp.isfinite(positions[:, 0])
     clean = jnp.where(seen[:, None], positions, 0.0)
     solved = solve_frame(streamer.subject, start, clean, seen, search, streamer.terms)
-    return solved.pose, solved.residual_scale
+    far = seen & ~(solved.residuals <= FAR)
+    return solved.pose, solved.residual_scale, jnp.where(far, far_frames + 1, 0)

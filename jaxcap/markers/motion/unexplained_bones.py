@@ -4,20 +4,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from ..subject import Subject
+from .doubtful_solutions import FAR, far_markers
 
-#: distance between observed and predicted position beyond which a marker is far off, metres
-FAR = 0.05
 #: least number of visible markers of such a bone
 MIN_MARKERS = 2
 #: least number of frames of a bone, and largest number of bones, in a message
 MIN_FRAMES, MAX_BONES = 3, 8
-
-
-def far_markers(
-    used: Bool[np.ndarray, "F M"], distances: Float[np.ndarray, "F M"]
-) -> Bool[np.ndarray, "F M"]:
-    """Find the used markers that are far from where the pose has them, or at no finite distance."""
-    return used & ~(distances <= FAR)
 
 
 def unexplained_bones(
