@@ -50,6 +50,17 @@ def take_rows(stacked, rows: Sequence[int] | slice | np.ndarray):
     )
 
 
+def put_rows(stacked, rows: np.ndarray, values):
+    """Replace rows of a tree of stacked, known arrays by those of another, on the host as `take_rows`."""
+
+    def put(leaf, new):
+        whole = np.array(leaf)
+        whole[rows] = new
+        return device_array(whole)
+
+    return jax.tree.map(put, stacked, values)
+
+
 def unstack_trees(stacked, count: int) -> list:
     """Split a tree of stacked arrays into `count` trees."""
     return [jax.tree.map(lambda leaf, i=i: leaf[i], stacked) for i in range(count)]

@@ -14,7 +14,7 @@ from jaxcap.body.skeleton import (
     make_skeleton,
     rest_distance,
 )
-from jaxcap.stacking import device_array, take_rows
+from jaxcap.stacking import device_array, put_rows, take_rows
 
 
 def random_tree(rng, count: int):
@@ -170,3 +170,12 @@ def test_rows_of_a_list_are_those_of_an_array_also_when_traced():
     numbers = jax.numpy.arange(4.0)
     for take in (lambda x: take_rows(x, [2, 0]), lambda x: take_rows(x, [])):
         np.testing.assert_array_equal(jax.jit(take)(numbers), take(numbers))
+
+
+def test_replaced_rows_leave_the_others_and_the_array_itself():
+    numbers = jax.numpy.arange(4.0)
+    before = {"a": numbers, "b": jax.numpy.stack([numbers, -numbers], 1)}
+    after = put_rows(before, np.array([2, 0]), take_rows(before, np.array([3, 3])))
+    np.testing.assert_array_equal(after["a"], [3, 1, 3, 3])
+    np.testing.assert_array_equal(after["b"][:, 1], [-3, -1, -3, -3])
+    np.testing.assert_array_equal(before["a"], [0, 1, 2, 3])

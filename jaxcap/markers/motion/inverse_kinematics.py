@@ -16,7 +16,7 @@ from ...energy.check_energies import UserTerms, check_finite_residuals, sum_user
 from ...energy.energy import AbstractEnergy
 from ...observe.markers import MarkerFrames
 from ...parallel import parallel_map
-from ...stacking import concatenate, take_rows
+from ...stacking import concatenate, put_rows, take_rows
 from ..calibration.residuals import marker_residuals
 from ..subject import Subject, marker_body
 from .doubtful_solutions import MAX_RESIDUAL_SCALE, MIN_FAR_FRAMES, far_markers, is_better
@@ -114,10 +114,8 @@ def solve_from_poses(
 
     def run(first: int) -> SolvedFrame:
         rows = np.minimum(np.arange(first, first + SEPARATE_SIZE), count - 1)
-        start = take_rows(starts, rows)
-        return jax.block_until_ready(
-            solve_each_frame(subject, start, positions[rows], seen[rows], search, energy)
-        )
+        start, places, visible = take_rows((starts, positions, seen), rows)
+        return jax.block_until_ready(solve_each_frame(subject, start, places, visible, search, energy))
 
     parts = parallel_map(run, range(0, count, SEPARATE_SIZE))
     return jax.tree.map(lambda *leaves: concatenate(leaves)[:count], *parts)
@@ -180,16 +178,14 @@ def solve_doubtful_frames(
         return solved
     size = 1 << (len(doubtful) - 1).bit_length()
     padded = np.pad(doubtful, (0, size - len(doubtful)), mode="edge")
-    starts = estimate_initial_poses(subject, positions[padded], jnp.asarray(used[padded]))
-    other = solve_from_poses(
-        subject, starts, positions[doubtful], jnp.asarray(used[doubtful]), LABELLED_SEARCH, energy
-    )
+    places, seen = take_rows((positions, used), padded)
+    starts = estimate_initial_poses(subject, places, seen)
+    places, seen = take_rows((positions, used), doubtful)
+    other = solve_from_poses(subject, starts, places, seen, LABELLED_SEARCH, energy)
     some = take_rows(solved, doubtful), other
     num_far = np.stack([far_markers(used[doubtful], np.asarray(one.residuals)).sum(1) for one in some])
     better = np.flatnonzero(is_better(num_far, np.stack([one.residual_scale for one in some])))
-    if not len(better):
-        return solved
-    return jax.tree.map(lambda old, new: old.at[doubtful[better]].set(new[better]), solved, other)
+    return put_rows(solved, doubtful[better], take_rows(other, better))
 
 
 @eqx.filter_jit
