@@ -30,8 +30,10 @@ SCHEDULER = {
     "distributed.scheduler.worker-saturation": 1.0,
     "distributed.deploy.lost-worker-timeout": "600s",
 }
-#: settings of a worker: there are no results to spill, and a paused worker whose memory is in use by JAX would never go on
+#: settings of a worker: there are no results to spill, and a paused worker whose memory is in use by JAX would never go on; what
+#: Dask's profiler collects grows by a tenth of a megabyte a second
 WORKER = {
+    "distributed.worker.profile.enabled": False,
     "distributed.worker.memory.target": False,
     "distributed.worker.memory.spill": False,
     "distributed.worker.memory.pause": False,

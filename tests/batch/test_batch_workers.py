@@ -82,7 +82,7 @@ def test_workers_with_several_threads_are_refused():
         ({"job_script_prologue": "module load python"}, ("module load python", "export NPROC=1")),
     ],
 )
-def test_slurm_workers_have_one_thread_and_never_pause(options, words):
+def test_slurm_workers_have_one_thread_no_profiler_and_never_pause(options, words):
     """As the script of the job says, which dask-jobqueue writes."""
     slurm = pytest.importorskip("dask_jobqueue.slurm")
     job = slurm.SLURMJob("tcp://there:1", "worker", **_slurm_settings(options, 2 * GIB))
@@ -90,6 +90,7 @@ def test_slurm_workers_have_one_thread_and_never_pause(options, words):
     assert "--nthreads 1 " in script
     for name in ("TARGET", "SPILL", "PAUSE"):
         assert f"export DASK_DISTRIBUTED__WORKER__MEMORY__{name}=False\n" in script
+    assert "export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False\n" in script
     assert all(word in script for word in words), script
 
 
