@@ -1,5 +1,6 @@
 """Validation of registered meshes before a body is learned from them."""
 
+import itertools
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -7,6 +8,7 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from ..errors import InputError
 from ..geometry.mesh import area_normals, mesh_edges, triangle_sides
@@ -37,6 +39,9 @@ MAX_GAP = 0.2
 #: components with more than this share of the vertices of the largest one may be subjects of their own; the least change of
 #: the distance between two subjects, as a share of the body's length
 MIN_SUBJECT_SHARE, MIN_SUBJECT_MOTION = 0.3, 0.25
+#: components with a distance of the first share of the body's length in all compared meshes, which changes by the second share,
+#: are subjects too, and neither layers nor pieces of one
+MIN_SUBJECT_GAP, MIN_SUBJECT_SWAY, COMPARED_MESHES = 0.05, 0.01, 5
 
 
 class _Group(NamedTuple):
@@ -224,21 +229,29 @@ def _check_orientation(vertices: np.ndarray, faces: np.ndarray, names: list[str]
 
 
 def _check_subjects(vertices: np.ndarray, edges: np.ndarray, extent: float) -> list[str]:
-    """Warn of two large components that move apart, such as two people."""
+    """Warn of large components whose distance changes, or that are never close to each other, such as two people."""
     labels = _components(edges, vertices.shape[1])[1]
     counts = np.bincount(labels)
     large = np.flatnonzero(counts >= MIN_SUBJECT_SHARE * counts.max())
-    middles = np.stack([vertices[:, labels == label].mean(1) for label in large])
-    gaps = (
-        np.linalg.norm(middles[:, None] - middles, axis=-1).transpose(2, 0, 1)
-        if len(large) > 1
-        else np.zeros((1, 1, 1))
-    )
-    if np.ptp(gaps, axis=0).max() < MIN_SUBJECT_MOTION * extent:
+    if len(large) == 1:
         return []
+    parts = [vertices[:, labels == label] for label in large]
+    middles = np.stack([part.mean(1) for part in parts])
+    change = np.ptp(np.linalg.norm(middles[:, None] - middles, axis=-1), axis=2).max()
+    if change >= MIN_SUBJECT_MOTION * extent:
+        reason = f"whose distance changes by {change:.2f} m"
+    elif change < MIN_SUBJECT_SWAY * extent:
+        return []
+    else:
+        some = even_indices(len(vertices), COMPARED_MESHES)
+        pairs = list(itertools.combinations(parts, 2))
+        closest = min(KDTree(one[m]).query(other[m])[0].min() for m in some for one, other in pairs)
+        if closest < MIN_SUBJECT_GAP * extent:
+            return []
+        reason = f"which are never closer than {closest:.2f} m"
     return [
-        f"The meshes contain {len(large)} subjects: components of {_numbers(counts[large])} vertices, whose distance changes by "
-        f"{np.ptp(gaps, axis=0).max():.2f} m; learn each of them from meshes of its own."
+        f"The meshes contain {len(large)} subjects: components of {_numbers(counts[large])} vertices, {reason}; learn each of "
+        "them from meshes of its own."
     ]
 
 

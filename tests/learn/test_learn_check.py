@@ -145,6 +145,12 @@ def test_two_subjects_are_told_from_two_pieces_of_one():
     assert "2 subjects" not in told(np.concatenate([one, one + [0.4, 0, 0]], 1), faces)
     steps = np.linspace(0, 1, len(one))[:, None, None] * [0.8, 0, 0]
     assert "2 subjects" in told(np.concatenate([one, two + steps], 1), faces)
+    # two people who do not walk
+    message = told(np.concatenate([one, two], 1), faces)
+    assert "2 subjects" in message and "which are never closer than 0." in message
+    # two layers of clothes
+    slides = np.linspace(0.005, 0.05, len(one))[:, None, None] * [1.0, 0, 0]
+    assert "2 subjects" not in told(np.concatenate([one, one + slides], 1), faces)
 
 
 def test_vertices_that_stand_twice():

@@ -258,7 +258,7 @@ class Learn:
         if given is not None:
             return given
         if self.skeleton_name() == "automatic":
-            say("looking for a person in the meshes")
+            set_activity("looking for a person in the meshes")
         placed, sentence = choose_skeleton(meshes, self.skeleton_name(), names)
         if self.skeleton_name() != "none":
             say(sentence)
