@@ -38,7 +38,7 @@ from .check_person import (
 from .describe_human import describe_child, describe_frames, describe_human
 from .further_markers import attach_further_markers
 from .human_template import HumanTemplate, make_human_template
-from .misplaced_markers import constant_residuals, find_misplaced, place_where_seen
+from .misplaced_markers import constant_residuals, find_misplaced, place_where_seen, widen_placements
 from .rest_positions import RESOLUTION
 from .static_pose import append_static, static_weights, without_static
 
@@ -48,9 +48,8 @@ FRAMES_PER_OBSERVATION = 100.0
 #: largest deviation of a marker as a multiple of that of all: a marker that is off its landmark is to move there, and not to lose
 #: its weight
 MAX_DEVIATION_RATIO = 3.0
-#: standard deviation of the placement of a marker that is not at its landmark, metres; number of calibrations until all of
-#: these are found
-MISPLACED_DEVIATION, MAX_CALIBRATIONS = 0.15, 4
+#: number of calibrations until all markers that are not at their landmarks are found
+MAX_CALIBRATIONS = 4
 #: least number of frames that show if labels are exchanged
 MIN_FRAMES_OF_EXCHANGES = 10
 
@@ -141,7 +140,7 @@ def fit_human(
         misplaced |= further_off
         if not further_off.any() or number == MAX_CALIBRATIONS - 1:
             break
-        placements = np.where(misplaced, MISPLACED_DEVIATION, at_landmarks.prior.placements)
+        placements = widen_placements(at_landmarks.prior.placements, bones, misplaced)
         template = template._replace(
             subject=place_where_seen(at_landmarks.subject, found.subject, residuals, misplaced),
             prior=eqx.tree_at(lambda p: p.placements, at_landmarks.prior, placements),

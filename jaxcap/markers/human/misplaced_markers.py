@@ -16,6 +16,8 @@ from ..subject import Subject
 MIN_RATIO, MIN_OFFSET, MAX_OFFSET = 2.5, 0.025, 0.05
 #: standard deviation of a placement, metres, from which on a marker is anywhere on its bone, such as one of a plate
 WIDE_PLACEMENT = 0.05
+#: standard deviations of the placement of misplaced markers, and of other markers on their bones, metres
+MISPLACED_DEVIATION, NEIGHBOUR_DEVIATION = 0.15, 0.05
 #: markers with at least this share of the largest distance are found at once, as others may be led astray by them
 WORST_SHARE = 0.6
 
@@ -48,6 +50,19 @@ def find_misplaced(
     np.maximum.at(largest, bones, np.where(far, offsets, 0.0))
     is_worst = (offsets >= largest[bones]) | (placements >= WIDE_PLACEMENT)
     return far & is_worst & (offsets >= WORST_SHARE * largest.max())
+
+
+def widen_placements(
+    placements: Float[np.ndarray, "M"], bones: Int[np.ndarray, "M"], misplaced: Bool[np.ndarray, "M"]
+) -> Float[np.ndarray, "M"]:
+    """Return the standard deviations of placements with misplaced markers, metres.
+
+    Those of the other markers on their bones become wider too: any of these may be the misplaced one, such as the other end of a
+    bar with two markers, and the prior would turn the bone so that it is at its landmark.
+    """
+    doubtful = np.isin(bones, bones[misplaced & (placements < WIDE_PLACEMENT)])
+    widened = np.where(doubtful, np.maximum(placements, NEIGHBOUR_DEVIATION), placements)
+    return np.where(misplaced, MISPLACED_DEVIATION, widened)
 
 
 def place_where_seen(

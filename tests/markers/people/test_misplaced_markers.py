@@ -6,7 +6,7 @@ import numpy as np
 from test_fit_human import person, seen
 
 from jaxcap.markers.human.fit_human import fit_human
-from jaxcap.markers.human.misplaced_markers import find_misplaced, place_where_seen
+from jaxcap.markers.human.misplaced_markers import find_misplaced, place_where_seen, widen_placements
 
 
 def moved(subject, **shifts):
@@ -26,6 +26,15 @@ def test_only_the_worst_marker_of_a_bone_is_misplaced():
     residuals[4] *= 0.4
     assert find_misplaced(residuals, bones, placements).tolist() == [False, True, False, True, False, False]
     assert not find_misplaced(np.zeros((6, 3)), bones, placements).any()
+
+
+def test_neighbours_of_a_misplaced_marker_may_be_the_misplaced_ones():
+    bones, placements = np.array([0, 0, 0, 1, 2, 2]), np.array([0.01, 0.02, 0.08, 0.01, 0.06, 0.01])
+    misplaced = np.array([True, False, False, False, True, False])
+    widened = widen_placements(placements, bones, misplaced)
+    # a marker that may be anywhere on its bone, such as the fifth, says nothing about the others there
+    np.testing.assert_allclose(widened, [0.15, 0.05, 0.08, 0.01, 0.15, 0.01])
+    np.testing.assert_array_equal(widen_placements(placements, bones, np.zeros(6, bool)), placements)
 
 
 def test_a_misplaced_marker_begins_where_it_is_seen():
