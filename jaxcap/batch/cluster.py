@@ -54,6 +54,7 @@ def open_cluster(
     memory: int | float = WORKER_MEMORY,
     jobs: int | None = None,
     processes: bool = True,
+    threads: int | None = None,
 ) -> "Iterator[Client]":
     """Open a client of a cluster for the duration of a block, and close what was started for it.
 
@@ -61,7 +62,8 @@ def open_cluster(
     It has `workers` processes of one thread each; by default one for each core, as far as `memory`, bytes for each worker,
     suffices, and at most `jobs`. `scheduler` is the address of a running scheduler, such as `tcp://10.0.0.1:8786`. `slurm`
     are options of `dask_jobqueue.SLURMCluster`; `partition` and `time` are other names of its `queue` and `walltime`; `workers` is
-    then the number of SLURM jobs. With `processes=False` the workers are threads of this process, for tests.
+    then the number of SLURM jobs. With `processes=False` the workers are threads of this process, for tests. `threads` of XLA that a
+    process of this computer has, by default its share of the cores: sums depend on their number, by rounding errors.
 
     **Raises:** `InputError` if Dask is not installed, no scheduler answers, or a worker has another version of jaxcap.
     """
@@ -74,23 +76,25 @@ def open_cluster(
     else:
         computer = this_computer()
         count = count_workers(computer, memory, computer.cores if jobs is None else jobs, workers)
-        opened = _local_cluster(count, computer, processes)
+        opened = _local_cluster(count, computer, processes, threads)
     with opened as client:
         check_versions(client)
         yield client
 
 
 @contextlib.contextmanager
-def _local_cluster(workers: int, computer: Computer, processes: bool) -> "Iterator[Client]":
+def _local_cluster(
+    workers: int, computer: Computer, processes: bool, threads: int | None
+) -> "Iterator[Client]":
     distributed = import_distributed()
     from dask import config
 
-    cores = max(1, computer.cores // workers)
+    threads = max(1, computer.cores // workers) if threads is None else threads
     settings = {
         **SCHEDULER,
         **WORKER,
         # the threads of XLA: all workers together have as many as there are cores; and its share of a GPU's memory
-        "distributed.nanny.pre-spawn-environ.NPROC": str(cores),
+        "distributed.nanny.pre-spawn-environ.NPROC": str(threads),
         "distributed.nanny.pre-spawn-environ.XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE / workers:.3f}",
     }
     has_dashboard = importlib.util.find_spec("bokeh") is not None

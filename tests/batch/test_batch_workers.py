@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from jaxcap.batch.cluster import _slurm_settings, check_threads, check_versions
+from jaxcap.batch.cluster import _slurm_settings, check_threads, check_versions, open_cluster
 from jaxcap.batch.mapping import _failure
 from jaxcap.batch.size import GIB
 from jaxcap.cli.console.errors import warnings_as_lines
@@ -92,6 +92,11 @@ def test_slurm_workers_have_one_thread_no_profiler_and_never_pause(options, word
         assert f"export DASK_DISTRIBUTED__WORKER__MEMORY__{name}=False\n" in script
     assert "export DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED=False\n" in script
     assert all(word in script for word in words), script
+
+
+def test_workers_have_the_given_number_of_threads_of_xla():
+    with open_cluster(1, threads=3) as client:
+        assert list(client.run(os.getenv, "NPROC").values()) == ["3"]
 
 
 def test_the_environment_of_slurm_workers_is_read_by_dask():

@@ -57,7 +57,8 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
     set_activity("starting the workers")
     memory = job_memory(["track"])
     jobs = options.chunks or max((count - journal.count) // (SHORT * options.overlap), 1)
-    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs)
+    # with one thread each, so that the poses do not depend on the number of workers
+    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs, threads=1)
     try:
         with opened as client:
             run.folder.mkdir(exist_ok=True)

@@ -76,7 +76,8 @@ def track_chunks(
     chunk after it are not `joined`. All frames are held in memory.
 
     The tracker is made by `forgetful_tracker`, with more iterations than usual, and so should be that of a run to compare with: with the usual
-    settings runs that begin at different poses never become equal.
+    settings runs that begin at different poses never become equal. Workers of a `client` should have one thread of XLA each
+    (`open_cluster`): with other numbers of threads sums have other rounding errors.
 
     **Raises:** `InputError` for arguments out of range, and as `map_jobs` does.
     """
@@ -92,7 +93,7 @@ def track_chunks(
     room = first_room(sequence) if planes is None else planes
     tracker = forgetful_tracker(tracker)
     settings = TrackSettings(search, sigma, up, tuple(room), tolerance)
-    with contextlib.nullcontext(client) if client is not None else open_cluster() as opened:
+    with contextlib.nullcontext(client) if client is not None else open_cluster(threads=1) as opened:
         number = count_chunks(len(sequence), count_workers(opened), overlap) if chunks is None else chunks
         divided = divide_frames(len(sequence), number, overlap, first)
         run = run_on(opened, partial(_track, tracker, settings), partial(_with_clouds, clouds, first))
