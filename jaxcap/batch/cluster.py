@@ -93,7 +93,7 @@ def _local_cluster(
     settings = {
         **SCHEDULER,
         **WORKER,
-        # the threads of XLA: all workers together have as many as there are cores; and its share of a GPU's memory
+        # the threads of XLA: by default all workers together have as many as there are cores; and its share of a GPU's memory
         "distributed.nanny.pre-spawn-environ.NPROC": str(threads),
         "distributed.nanny.pre-spawn-environ.XLA_PYTHON_CLIENT_MEM_FRACTION": f"{GPU_SHARE / workers:.3f}",
     }

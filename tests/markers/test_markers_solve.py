@@ -85,13 +85,18 @@ def test_bones_that_no_pose_explains_are_named(rng):
     assert f"the markers of {name} in 11 frames (10 to 20)" in solved.messages[0]
 
 
+def distant_starts(rng, motion, deviation):
+    """Rotate the limbs of each frame by normal random vectors, radians."""
+    steps = np.zeros((len(motion), SUBJECT.skeleton.num_dofs))
+    steps[:, 6:] = deviation * rng.normal(size=steps[:, 6:].shape)
+    return jax.vmap(retract, (None, 0, 0))(SUBJECT.skeleton, motion.poses, jnp.asarray(steps))
+
+
 def test_distant_starts_lead_to_the_pose(rng):
     """Markers of a limb that is not in place are no outliers in a first search; without it, they remain so in some frames."""
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    steps = np.zeros((len(motion), SUBJECT.skeleton.num_dofs))
-    steps[:, 6:] = 1.5 * rng.normal(size=steps[:, 6:].shape)
-    starts = jax.vmap(retract, (None, 0, 0))(SUBJECT.skeleton, motion.poses, jnp.asarray(steps))
+    starts = distant_starts(rng, motion, 1.5)
     arrays = jnp.asarray(frames.positions), jnp.asarray(frames.visible)
     alone, found = (
         solve_each_frame(SUBJECT, starts, *arrays, search) for search in (INITIAL_SEARCH, LABELLED_SEARCH)
@@ -201,9 +206,7 @@ def test_a_stream_leaves_a_wrong_minimum(rng):
     """A limb that another pose nearly explains keeps a marker far off; after `MIN_FAR_FRAMES` the stream searches again."""
     motion = moving(rng)
     frames = seen_by(SUBJECT, motion, rng)
-    steps = np.zeros((len(motion), SUBJECT.skeleton.num_dofs))
-    steps[:, 6:] = 2.0 * rng.normal(size=steps[:, 6:].shape)
-    starts = jax.vmap(retract, (None, 0, 0))(SUBJECT.skeleton, motion.poses, jnp.asarray(steps))
+    starts = distant_starts(rng, motion, 2.0)
     arrays = jnp.asarray(frames.positions), jnp.asarray(frames.visible)
     followed = solve_each_frame(SUBJECT, starts, *arrays, SearchCriteria())
     is_far = (np.asarray(followed.residuals) > FAR).any(1)

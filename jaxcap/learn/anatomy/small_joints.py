@@ -51,22 +51,18 @@ def free_small_joints(
         parts = [joint for joint in small if skeleton.parents[joint] == parent]
         bone = centres[parent] - centres[skeleton.parents[parent]]
         largest = max(parts, key=lambda joint: sizes[joint])
-        if (labels == parent).sum() >= max(MIN_VERTICES, MIN_PARENT_SHARE * sizes[largest]):
-            base = labels == parent
-            rotating = [
-                joint for joint in parts if _part_rotates(below[joint][labels], base, rest, shapes, least)
-            ]
-        elif not kinds[parent] == skeleton.kinds[parent] == "ball" or not np.linalg.norm(bone) > 0:
+        is_small = (labels == parent).sum() < max(MIN_VERTICES, MIN_PARENT_SHARE * sizes[largest])
+        is_ball = kinds[parent] == skeleton.kinds[parent] == "ball" and np.linalg.norm(bone) > 0
+        if is_small and not is_ball:
             continue
-        elif _rotates_about_itself(sides.get(largest, (largest,)), skeleton, rest, shapes, labels, least):
+        pair = sides.get(largest, (largest,))
+        if is_small and _rotates_about_itself(pair, skeleton, rest, shapes, labels, least):
             rotating = parts
             kinds[parent], axes[parent, 0] = "revolute", bone / np.linalg.norm(bone)
         else:
-            base = below[largest][labels]
+            base = below[largest][labels] if is_small else labels == parent
             rotating = [
-                joint
-                for joint in parts
-                if joint != largest and _part_rotates(below[joint][labels], base, rest, shapes, least)
+                joint for joint in parts if _part_rotates(below[joint][labels], base, rest, shapes, least)
             ]
         for joint in rotating:
             kinds[joint] = "ball"

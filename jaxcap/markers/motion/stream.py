@@ -84,7 +84,7 @@ def make_streamer(
     nothing = np.full((count, 3), np.nan, dtype)
     shared = streamer.call_arguments
     state = StreamState(pose, jnp.asarray(jnp.inf, dtype), shared.none_far, shared.none_lost)
-    jax.block_until_ready(_solve(streamer, state, nothing, search))
+    jax.block_until_ready(_solve(streamer, pose, shared.none_far, nothing, search))
     jax.block_until_ready(_search(streamer, nothing))
     return streamer, state
 
@@ -121,7 +121,7 @@ def stream_frame(
     if not np.isfinite(state.residual_scale):
         found = _search(streamer, clean)
         return found, found.pose
-    found = _solve(streamer, state, clean, streamer.search)
+    found = _solve(streamer, state.pose, state.far_frames, clean, streamer.search)
     far_frames = np.asarray(found.far_frames)
     if not float(found.residual_scale) < MAX_RESIDUAL_SCALE or far_frames.max() >= MIN_FAR_FRAMES:
         other = _search(streamer, clean)
@@ -137,20 +137,21 @@ def _search(streamer: Streamer, positions: Float[np.ndarray, "M 3"]) -> StreamSt
     visible = np.isfinite(positions[:, :1])
     clean = jnp.asarray(np.where(visible, positions, 0.0))
     poses = estimate_initial_poses(streamer.subject, clean[None], jnp.asarray(visible[None, :, 0]))
-    shared, start = streamer.call_arguments, jax.tree.map(lambda leaf: leaf[0], poses)
-    before = StreamState(start, jnp.asarray(jnp.inf, positions.dtype), shared.none_far, shared.none_lost)
-    return _solve(streamer, before, positions, LABELLED_SEARCH)
+    start = jax.tree.map(lambda leaf: leaf[0], poses)
+    return _solve(streamer, start, streamer.call_arguments.none_far, positions, LABELLED_SEARCH)
 
 
 def _solve(
-    streamer: Streamer, before: StreamState, positions: Float[np.ndarray, "M 3"], search: SearchCriteria
+    streamer: Streamer,
+    start: Pose,
+    far_frames: Int[Array, "M"],
+    positions: Float[np.ndarray, "M 3"],
+    search: SearchCriteria,
 ) -> StreamState:
-    """Solve a frame from the pose before it; NaN marks what is not visible, so that one array reaches the device."""
+    """Solve a frame from a start; NaN marks what is not visible, so that one array reaches the device."""
     shared = streamer.call_arguments
-    pose, scale, far_frames = _solve_compiled(
-        shared.structure, search, shared.arrays, before.pose, before.far_frames, positions
-    )
-    return StreamState(pose, scale, far_frames, shared.none_lost)
+    pose, scale, far = _solve_compiled(shared.structure, search, shared.arrays, start, far_frames, positions)
+    return StreamState(pose, scale, far, shared.none_lost)
 
 
 @partial(jax.jit, static_argnums=0)
