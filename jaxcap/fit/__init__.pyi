@@ -4,7 +4,6 @@ from ..energy.data.pairs import pair_positions as pair_positions
 from ..observe.visibility import visible_vertices as visible_vertices
 from ..tracking.batch import fit_batch as fit_batch
 from ..tracking.batch import scan_track as scan_track
-from ..tracking.chunks.tasks import forgetful_tracker as forgetful_tracker
 from ..tracking.chunks.track_chunks import ChunkedFrames as ChunkedFrames
 from ..tracking.chunks.track_chunks import track_chunks as track_chunks
 from ..tracking.expectation_maximisation.clothes import Clothes as Clothes

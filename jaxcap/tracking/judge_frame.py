@@ -24,7 +24,6 @@ from .judgement.baseline import (
 from .judgement.evidence import gather_evidence
 from .judgement.region_samples import RegionSamples
 from .judgement.verdict import Judgement, judge_evidence
-from .round_state import round_state
 from .track_frame import Tracker, TrackState, start_state, track_frame, with_clothes
 
 #: standard deviation at the end of a first frame, metres, and number of rounds to reach it
@@ -204,7 +203,6 @@ def finish_frame(tracker: Tracker, frame: TrackedFrame, previous: Pose) -> Track
             state = start_state(with_clothes(tracker, state.estimate.clothes), previous, FIRST_SIGMA)
         pose = pose if finite else previous
     trusted = previous if frame.lost else pose
-    state = round_state(state, tracker.rounding) if tracker.rounding else state
     return dataclasses.replace(frame, pose=pose, trusted=trusted, state=state, searches=searches)
 
 

@@ -102,8 +102,7 @@ def _track_frames(
     pose = rest_pose(tracker.body.skeleton) if start is None else start
     pose = pose.trusted if isinstance(pose, TrackedFrame) else pose
     is_recorded = isinstance(clouds, (Sequence, Cloud)) if look_ahead is None else look_ahead
-    # a state that is rounded is not the one that the next frame was begun with
-    ahead = Ahead(tracker) if is_recorded and not tracker.rounding else None
+    ahead = Ahead(tracker) if is_recorded else None
     every = without_room(iterate_clouds(clouds), planes)
     for number, cloud in enumerate(every if ahead is None else ahead.with_next(every), first):
         if cloud.missing:

@@ -91,8 +91,6 @@ class Tracker(eqx.Module):
     num_tested: int = eqx.field(static=True, default=NUM_TESTED)
     #: clothes at the start of a frame without a frame before it; None where clothes are not modelled
     clothes: Clothes | None = None
-    #: step of the grid to which the state between frames is rounded, metres and radians; zero for none
-    rounding: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         check_fields(self)

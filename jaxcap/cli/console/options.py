@@ -73,9 +73,8 @@ Scheduler = Annotated[
 ]
 NumChunks = Annotated[
     OptionalCount,
-    arg(help="Number of chunks. Default: up to four for each worker, fewer in a short sequence."),
+    arg(help="Number of chunks. Default: chunks of 200 to 500 frames."),
 ]
-Overlap = Annotated[int, arg(metavar="N", help="Number of frames that each chunk begins early.")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 KeepPlanes = Annotated[
     bool,

@@ -6,7 +6,6 @@ import numpy as np
 
 from ...batch.dask_libraries import import_distributed
 from ...errors import InputError
-from ...tracking.chunks.division import AGREEING_FRAMES, OVERLAP
 from ..body_models import is_model_spec
 from ..console.options import check_ranges
 from .people import read_count
@@ -52,7 +51,6 @@ def check_options(track: Any) -> None:
     chunk_ranges = {
         "--workers": (track.workers, track.workers is None or track.workers >= 1, "at least 1"),
         "--chunks": (track.chunks, track.chunks is None or track.chunks >= 1, "at least 1"),
-        "--overlap": (track.overlap, track.overlap > AGREEING_FRAMES, f"above {AGREEING_FRAMES}"),
     }
     check_ranges(chunk_ranges)
     if track.workers is not None and track.scheduler is not None:
@@ -61,8 +59,6 @@ def check_options(track: Any) -> None:
         )
     if track.chunks is not None and not in_chunks:
         raise InputError("--chunks is for several workers; give --workers or --scheduler.")
-    if track.overlap != OVERLAP and not in_chunks:
-        raise InputError("--overlap is for several workers; give --workers or --scheduler.")
     if in_chunks:
         import_distributed()
     if in_chunks and track.people is not None:

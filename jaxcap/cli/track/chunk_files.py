@@ -88,16 +88,12 @@ def _run_task(run: ChunkedRun, task: Task) -> Outcome:
     path, error = run.folder / task.name, ""
     with run_lock(path), _open_journal(run, task, path, row_width(like)) as journal:
         saved = JournalSegment(path, task.first, task.first + journal.count, like)
-        done = saved.frames(saved.first, saved.end)
-        left = task
-        if task.stop == "never" and journal.count:
-            # only the last frame matters
-            left, done = task._replace(first=saved.end, start=last_frame(saved)), iter(())
+        left = task._replace(first=saved.end, start=last_frame(saved)) if journal.count else task
         # the first pose of a chunk is always searched for
-        announce = None if task.stop == "found" else make_announcer()
+        announce = None if task.is_search else make_announcer()
         clouds = announce_missing(iter(run.clouds[saved.end : task.end]))
         try:
-            frames = track_task(run.tracker, clouds, left, run.settings, announce, done)
+            frames = track_task(run.tracker, clouds, left, run.settings, announce)
             for number, (frame, seconds) in enumerate(timed(frames), saved.end):
                 frame = replace(frame, others=frame.others or number in run.others)
                 journal.append(pack(frame, seconds, run.clouds.names[number]))
@@ -117,10 +113,11 @@ def _open_journal(run: ChunkedRun, task: Task, path: Path, width: int) -> Journa
     known = {
         "frames": [task.first, task.end],
         "start": start.hexdigest(),
-        "stop": task.stop,
+        "head": task.is_head,
+        "search": task.is_search,
         "clouds": names.hexdigest(),
     }
-    header = {**run.header, **known, "tolerance": run.settings.tolerance}
+    header = {**run.header, **known}
     if path.is_file():
         try:
             return resume_journal(path, header, width)

@@ -10,26 +10,23 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
 from ...batch.cluster import open_cluster
 from ...batch.mapping import map_jobs
 from ...errors import InputError
 from ...io.archives.journal import Journal, count_records
 from ...io.table import write_json
-from ...tracking.chunks.agreement import is_unsure
-from ...tracking.chunks.division import SHORT, Chunk, count_chunks, divide_frames, name_ranges
-from ...tracking.chunks.join_chunks import REPEATED, Boundary, JoinedChunks, Outcome, join_chunks
+from ...tracking.chunks.division import LEAST, Chunk, count_chunks, divide_frames, name_ranges
+from ...tracking.chunks.join_chunks import REPEATED, Boundary, Outcome, join_chunks
+from ...tracking.chunks.segments import AbstractSegment
 from ...tracking.chunks.tasks import Task
 from ...tracking.chunks.track_chunks import count_workers, outcome_of
 from ...tracking.judge_frame import TrackedFrame
-from ...tracking.track import name_frames
 from ..batch.memory import job_memory
 from ..batch.prepare import prepare_worker
 from ..console.console import has_terminal, pluralise, progress_bar, report_progress, say, warn
 from ..console.heartbeat import set_activity
 from .chunk_files import ChunkedRun, JournalSegment, SavedOutcome, run_saved_task
-from .frame_records import judgements_of, row_template
+from .frame_records import row_template
 
 #: the file of the division, in the folder of the journals
 PLAN = "plan.json"
@@ -43,7 +40,6 @@ class ChunkOptions(NamedTuple):
     workers: int | None
     scheduler: str | None
     chunks: int | None
-    overlap: int
 
 
 def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, report: Path) -> None:
@@ -56,7 +52,7 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
         return
     set_activity("starting the workers")
     memory = job_memory(["track"])
-    jobs = options.chunks or max((count - journal.count) // (SHORT * options.overlap), 1)
+    jobs = options.chunks or count_chunks(count - journal.count)
     # with one thread each, so that the poses do not depend on the number of workers
     opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs, threads=1)
     try:
@@ -64,16 +60,14 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
             run.folder.mkdir(exist_ok=True)
             client.register_worker_callbacks(prepare_worker)
             workers = count_workers(client)
-            chunks = find_division(plan, count, workers, options, journal.count)
-            first = chunks[0].first
+            chunks = find_division(plan, count, options, journal.count)
             say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
             with watch_frames(run.folder, chunks):
                 joined = join_chunks(
                     run.tracker.body.skeleton,
                     chunks,
                     partial(_run, client, run),
-                    _frame_before(run, journal, first),
-                    run.settings.tolerance,
+                    _frame_before(run, journal, chunks[0].begin),
                 )
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
@@ -88,13 +82,13 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
             f"{lines} The frames of all other chunks are kept; correct the input and give --resume to continue."
         )
     set_activity("joining the chunks")
-    unsure = _add_rows(run, chunks, joined, journal)
-    write_report(report, joined.boundaries, unsure, run.settings.tolerance, options.overlap)
+    _add_rows(joined.segments, journal)
+    write_json(report, {"boundaries": [boundary._asdict() for boundary in joined.boundaries]})
     shutil.rmtree(run.folder)
-    _describe(joined.boundaries, unsure)
+    _describe(joined.boundaries)
 
 
-def find_division(path: Path, count: int, workers: int, options: ChunkOptions, num_done: int) -> list[Chunk]:
+def find_division(path: Path, count: int, options: ChunkOptions, num_done: int) -> list[Chunk]:
     """Divide the frames from `num_done` on into chunks, and write the division to a file; continue that of a stopped run.
 
     If the sequence has become longer or shorter since, chunks that are still in it stay, and others are added.
@@ -105,13 +99,10 @@ def find_division(path: Path, count: int, workers: int, options: ChunkOptions, n
         return chunks
     left = count - begin
     chosen = None if chunks else options.chunks
-    number = chosen or count_chunks(left, workers, options.overlap)
+    number = chosen or count_chunks(left)
     # what is left of a stopped run may be short
-    most = max(left // options.overlap, 1) if begin else number
-    added = divide_frames(left, min(number, most), options.overlap, begin)
-    if chunks:
-        added[0] = added[0]._replace(first=max(begin - options.overlap, chunks[-1].begin))
-    chunks += added
+    most = max(left // LEAST, 1) if begin else number
+    chunks += divide_frames(left, min(number, most), begin)
     write_json(path, {"chunks": [list(chunk) for chunk in chunks]})
     return chunks
 
@@ -122,7 +113,7 @@ def _stored_division(path: Path, count: int, num_done: int) -> list[Chunk]:
         stored = json.loads(path.read_text())
         chunks = [Chunk(*map(int, chunk)) for chunk in stored["chunks"]]
         # some rows may have been joined when it was stopped
-        if chunks[0].first <= num_done:
+        if chunks[0].begin <= num_done:
             return [chunk for chunk in chunks if chunk.end <= count]
     return []
 
@@ -145,53 +136,31 @@ def _run(client, run: ChunkedRun, tasks: Sequence[Task]) -> Iterator[tuple[int, 
         yield result.number, outcome_of(result)
 
 
-def _add_rows(run: ChunkedRun, chunks: Sequence[Chunk], joined: JoinedChunks, journal: Journal) -> list[int]:
-    """Add the rows of all chunks to the journal of the run; return the frames whose verdict could be another one in one run."""
-    unsure: list[int] = []
-    for chunk, segment, boundary in zip(chunks, joined.chunks, (None, *joined.boundaries), strict=True):
-        assert segment is not None
-        for span in segment.between(chunk.begin, chunk.end).spans:
-            assert isinstance(span.segment, JournalSegment)
-            number = span.first
-            for rows in span.segment.rows(span.first, span.end):
-                if boundary is not None:
-                    close = is_unsure(judgements_of(span.segment.like, rows), boundary.margin)
-                    numbers = (number + np.flatnonzero(close)).tolist()
-                    unsure += [k for k in numbers if k >= boundary.frame + boundary.num_repeated]
-                # rows that a stopped run has joined are there
-                for row in rows[max(journal.count - number, 0) :]:
-                    journal.append(row)
-                number += len(rows)
-    return unsure
+def _add_rows(segments: Sequence[AbstractSegment], journal: Journal) -> None:
+    """Add the rows of all frames to the journal of the run."""
+    for segment in segments:
+        assert isinstance(segment, JournalSegment)
+        # rows that a stopped run has added are there
+        for rows in segment.rows(max(segment.first, journal.count), segment.end):
+            for row in rows:
+                journal.append(row)
 
 
-def write_report(
-    path: Path, boundaries: Sequence[Boundary], unsure: Sequence[int], tolerance: float, overlap: int
-) -> None:
-    """Write how the chunks were joined: distances in metres, frames counted from 0."""
-    rows = [boundary._asdict() for boundary in boundaries]
-    write_json(path, {"tolerance": tolerance, "overlap": overlap, "boundaries": rows, "unsure": list(unsure)})
-
-
-def _describe(boundaries: Sequence[Boundary], unsure: Sequence[int]) -> None:
+def _describe(boundaries: Sequence[Boundary]) -> None:
     """Print how the chunks were joined."""
     for boundary in boundaries:
         if boundary.num_repeated:
-            end = boundary.frame + boundary.num_repeated
-            say(
-                f"frames {name_ranges([(boundary.frame, end)])} were tracked again from the frame before, as two chunks did not agree there"
+            frames = name_ranges([(boundary.frame, boundary.frame + boundary.num_repeated)])
+            warn(
+                f"before frame {boundary.frame} a search found another pose than tracking, {boundary.distance:.2f} m from it at one joint; "
+                f"both look right, and frames {frames} continue the tracked one: check them"
             )
-    if unsure:
-        warn(
-            f"the verdict of {pluralise(len(unsure), 'frame')} is near a limit, and could be another one in one run, and with it "
-            f"the poses of some frames from there on: {name_frames(unsure)}, counted from 0"
-        )
 
 
 @contextlib.contextmanager
 def watch_frames(folder: Path, chunks: Sequence[Chunk]) -> Iterator[None]:
-    """Report the number of tracked frames in a folder of journals during a block: those of all chunks, with their overlaps."""
-    stop, count = threading.Event(), sum(chunk.end - chunk.first for chunk in chunks)
+    """Report the number of tracked frames in a folder of journals during a block: those of all chunks, and one before each."""
+    stop, count = threading.Event(), chunks[-1].end - chunks[0].begin + len(chunks) - 1
 
     def watch(move: Callable[..., None]) -> None:
         start, printed, begun = time.monotonic(), time.monotonic(), None

@@ -91,11 +91,6 @@ def unpack_results(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Re
     return Results(rows[:, 0], poses, statistics, verdicts, unseen, others.astype(bool).tolist())
 
 
-def judgements_of(template: TrackedFrame, rows: Float[np.ndarray, "N R"]) -> Judgement:
-    """Decode the judgements in rows by `pack`, stacked over the frames."""
-    return _decode_results(template, rows)[3]
-
-
 def _decode_results(
     template: TrackedFrame, rows: Float[np.ndarray, "N R"]
 ) -> tuple[Pose, FrameStatistics, Array, Judgement, Array]:

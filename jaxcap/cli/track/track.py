@@ -21,8 +21,8 @@ from ...io.system.run_lock import run_lock
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ...tracking.advance import FirstSearch
-from ...tracking.chunks.division import OVERLAP, divide_frames
-from ...tracking.chunks.tasks import TrackSettings, forgetful_tracker
+from ...tracking.chunks.division import divide_frames
+from ...tracking.chunks.tasks import TrackSettings
 from ...tracking.expectation_maximisation.em_step import make_mixture_settings
 from ...tracking.judge_frame import TrackedFrame
 from ...tracking.people.track_people import MAX_PEOPLE
@@ -39,7 +39,6 @@ from ..console.options import (
     KeepPlanes,
     NumChunks,
     OptionalCount,
-    Overlap,
     Scheduler,
     Skl,
     Unit,
@@ -172,7 +171,6 @@ class Track:
     workers: Workers = None
     scheduler: Scheduler = None
     chunks: NumChunks = None
-    overlap: Overlap = OVERLAP
     initialise: Literal["auto", "always", "never"] = "auto"
     """Search for the pose of the first frame: if the rest pose does not explain the first cloud (auto), always, or
     never. Without a search, tracking starts at the rest pose."""
@@ -202,7 +200,7 @@ class Track:
         clouds = clouds.with_loaded(0, begun)
         check_some_person(clouds, begun)
         if self.chunks is not None:
-            divide_frames(len(clouds), self.chunks, self.overlap)
+            divide_frames(len(clouds), self.chunks)
         make_writable(self.out)
         print_rate(rate)
         for doubt in (*found.doubts, *describe_distance(begun)):
@@ -256,7 +254,7 @@ class Track:
         with open_journal(path, header, row_width(template), self.resume) as journal:
             last = last_frame(journal, clouds.names, template)
             if is_in_chunks(self):
-                options = ChunkOptions(self.workers, self.scheduler, self.chunks, self.overlap)
+                options = ChunkOptions(self.workers, self.scheduler, self.chunks)
                 settings = TrackSettings(SEARCHES[self.initialise], self.sigma0, planes=planes)
                 folder, cameras = self.out.absolute() / CHUNKS, len(self.depth)
                 run = ChunkedRun(tracker, clouds, others, settings, folder, header, cameras)
@@ -335,7 +333,6 @@ class Track:
         partial = self.partial or self.clothes or bool(self.depth)
         steps = self.iterations
         made = make_tracker(body, mixture, terms, iterations=steps, partial=partial, clothes=self.clothes)
-        made = forgetful_tracker(made) if is_in_chunks(self) else made
         return warn_without_prior(made) if partial else made
 
     def track_remaining(self, steps: Iterator[tuple], clouds: LazyFrames[Cloud], journal: Journal) -> None:

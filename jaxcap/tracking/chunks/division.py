@@ -1,4 +1,4 @@
-"""The division of a sequence into chunks that overlap."""
+"""The division of a sequence into chunks."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -8,66 +8,41 @@ import numpy as np
 
 from ...errors import InputError
 
-#: number of successive frames in which two chunks have to agree
-AGREEING_FRAMES = 5
-#: number of frames that a chunk begins earlier than the frames that it contributes
-OVERLAP = 60
-#: number of chunks for each worker in a long sequence, so that no worker waits long for another one
-CHUNKS_OF_WORKER = 4
-#: least length of a chunk in overlaps: of many chunks, and of as many chunks as there are workers
-LONG, SHORT = 10, 2
+#: usual number of chunks, and least and largest usual number of frames in one: each chunk costs a search
+CHUNKS, MIN_FRAMES, MAX_FRAMES = 8, 200, 500
+#: least number of frames in a chunk
+LEAST = 2
 
 
 class Chunk(NamedTuple):
-    """A part of a sequence, by numbers of frames."""
+    """A part of a sequence: the numbers of its first frame and of the one after its last frame."""
 
-    #: the first tracked frame
-    first: int
-    #: the first frame of the result; those before it overlap with the chunk before
     begin: int
-    #: the frame after the last one
     end: int
 
 
-def count_chunks(num_frames: int, workers: int, overlap: int = OVERLAP) -> int:
-    """Choose the number of chunks of a sequence: at most a tenth of their frames are tracked twice, unless workers would have none.
+def count_chunks(num_frames: int) -> int:
+    """Choose the number of chunks of a sequence.
 
-    One worker has one chunk.
+    It does not depend on the number of workers, and so neither do the poses.
     """
-    if workers == 1:
-        return 1
-    many = min(CHUNKS_OF_WORKER * workers, num_frames // (LONG * overlap))
-    few = min(workers, num_frames // (SHORT * overlap))
-    return max(many, few, 1)
+    return max(round(num_frames / min(max(num_frames / CHUNKS, MIN_FRAMES), MAX_FRAMES)), 1)
 
 
-def divide_frames(num_frames: int, num_chunks: int, overlap: int = OVERLAP, first: int = 0) -> list[Chunk]:
-    """Divide the frames from `first` on into chunks of nearly equal lengths, of which each begins `overlap` frames early.
+def divide_frames(num_frames: int, num_chunks: int, first: int = 0) -> list[Chunk]:
+    """Divide the frames from `first` on into chunks of nearly equal lengths.
 
-    **Raises:** `InputError` if a chunk would be shorter than the overlap, or the overlap is too short to compare chunks.
+    **Raises:** `InputError` if a chunk would have fewer than `LEAST` frames.
     """
-    check_overlap(overlap)
     if num_chunks < 1:
         raise InputError(f"The number of chunks is {num_chunks}; it must be at least 1.")
-    if num_chunks > 1 and num_frames < num_chunks * overlap:
+    if num_chunks > 1 and num_frames < LEAST * num_chunks:
         raise InputError(
-            f"{num_frames} frames were to be divided into {num_chunks} chunks with an overlap of {overlap} frames; each chunk "
-            "needs at least as many frames as the overlap: give fewer chunks or a shorter overlap."
+            f"{num_frames} frames were to be divided into {num_chunks} chunks; each chunk needs at least {LEAST} frames: give fewer "
+            "chunks."
         )
     bounds = first + np.linspace(0, num_frames, num_chunks + 1).round().astype(int)
-    return [
-        Chunk(int(begin) if number == 0 else int(begin) - overlap, int(begin), int(end))
-        for number, (begin, end) in enumerate(pairwise(bounds))
-    ]
-
-
-def check_overlap(overlap: int) -> None:
-    """Check that an overlap suffices to compare chunks. Raises `InputError`."""
-    if overlap <= AGREEING_FRAMES:
-        raise InputError(
-            f"The overlap of chunks is {overlap} frames; it must be above {AGREEING_FRAMES}, the number of frames in which they "
-            "have to agree."
-        )
+    return [Chunk(int(begin), int(end)) for begin, end in pairwise(bounds)]
 
 
 def name_ranges(frames: Sequence[tuple[int, int]]) -> str:

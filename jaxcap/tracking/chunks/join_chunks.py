@@ -1,13 +1,16 @@
-"""Chunks that are tracked at the same time, joined where they agree, and tracked again from the chunk before where they do not.
+"""Chunks that are tracked at the same time, each from a search of its own, and that continue each other.
 
-Tracking is sequential: a frame begins in the state of the frame before. But a state is soon forgotten: runs that begin at different poses
-become the same within some frames, if the clouds determine the pose. So each chunk begins some frames early, at a pose that a search
-finds. Where it has become the same as the chunk before, the rest is what one run would have computed. Where it has not,
-the chunk before is continued until it agrees. So every boundary is checked from the first one on, and the result is that of one run.
+Tracking is sequential: a frame begins in the state of the frame before. Two runs that begin in states which differ by a rounding error do not become
+equal again where the cloud determines a pose weakly, such as that of fingers. So a sequence in chunks is another, exactly defined run: before the first
+frame of each chunk a search without memory finds the pose of the frame before. Tracking continues from there if the frame as it was tracked
+agrees with it, otherwise from the frame as it was tracked. Then most chunks depend on no other one, and can be tracked at the same time;
+the result depends on the division only, and not on the number of workers.
 """
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +18,9 @@ import numpy as np
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ..judge_frame import TrackedFrame
-from .agreement import MAX_SHARE_DIFFERENCE, TOLERANCE, compare_frames
-from .division import AGREEING_FRAMES, Chunk
-from .segments import AbstractSegment, JoinedSegment, last_frame
+from .agreement import agrees, pose_distance
+from .division import Chunk
+from .segments import AbstractSegment, last_frame
 from .tasks import Task, begin_chunk
 
 _LOG = logging.getLogger(__name__)
@@ -33,6 +36,7 @@ class Outcome(NamedTuple):
     error: str = ""
 
 
+NO_FRAMES = Outcome(None)
 #: runs tasks at the same time; yields the number and the outcome of each as it ends
 RunTasks = Callable[[Sequence[Task]], Iterable[tuple[int, Outcome]]]
 
@@ -42,19 +46,15 @@ class Boundary(NamedTuple):
 
     #: number of the first frame after it
     frame: int
-    #: largest distance of a joint between the two chunks in the last frames before it, metres; NaN without common frames
+    #: largest distance between the same joints of the frame before it as it was tracked and as a search found it, metres; NaN where
+    #: one of both is not good
     distance: float
-    #: largest difference there between the shares of limits in verdicts
-    share_difference: float
-    #: number of frames after it that were tracked again from the chunk before
+    #: the frames after it begin at the pose of the search
+    searched: bool
+    #: number of frames after it that were tracked again, as both poses do not agree
     num_repeated: int
-    #: the chunk continues the one before; if not, its frames are those of a run that began at its own search
+    #: the frames after it continue those before it; not where these could not be tracked
     joined: bool
-
-    @property
-    def margin(self) -> float:
-        """The difference in the shares of limits that one run may have after the boundary."""
-        return MAX_SHARE_DIFFERENCE if self.num_repeated else self.share_difference
 
 
 class Failure(NamedTuple):
@@ -69,40 +69,45 @@ class Failure(NamedTuple):
 class JoinedChunks(NamedTuple):
     """The frames of a sequence, and how its chunks were joined."""
 
-    #: those of each chunk, in order; shorter than the chunk, or None, if it failed
-    chunks: tuple[JoinedSegment | None, ...]
+    #: in order; frames that could not be tracked are in none
+    segments: tuple[AbstractSegment, ...]
     boundaries: tuple[Boundary, ...]
     failures: tuple[Failure, ...]
 
 
-class _State:
-    """The frames of each chunk so far, and which boundaries are joined."""
+@dataclass
+class _Part:
+    """Successive chunks that begin at the pose of one search: all but the first one have none."""
 
-    def __init__(self, chunks: Sequence[Chunk]):
-        self.chunks = chunks
-        self.frames: list[JoinedSegment | None] = [None] * len(chunks)
-        self.errors: list[str] = [""] * len(chunks)
-        #: how often the last frame of each chunk has changed, and the number at which the chunk after it was joined
-        self.versions, self.joined = [0] * len(chunks), [-1] * len(chunks)
-        #: distances and differences of shares at the first comparison
-        self.differences = [(np.nan, np.nan)] * len(chunks)
-        self.repeated = [0] * len(chunks)
+    begin: int
+    end: int
+    #: of the frame before; None at the beginning of the sequence
+    found: TrackedFrame | None
+    #: tracked from the pose of the search, and again from the part before
+    own: Outcome = NO_FRAMES
+    again: Outcome | None = None
+    #: the beginning of the sequence, before the first frame of both
+    head: list[AbstractSegment] = field(default_factory=list)
+    #: what the part before was when this one was joined to it, and the distance between its last frame and the search
+    joined_to: Outcome | None = None
+    distance: float = np.nan
+    #: how often it was tracked again
+    num_again: int = 0
 
-    def is_complete(self, number: int) -> bool:
-        frames = self.frames[number]
-        return frames is not None and frames.end == self.chunks[number].end
+    @property
+    def outcome(self) -> Outcome:
+        return self.own if self.again is None else self.again
 
-    def is_joined(self, number: int) -> bool:
-        return number == 0 or (
-            self.is_complete(number - 1) and self.joined[number] == self.versions[number - 1]
-        )
+    @property
+    def segments(self) -> list[AbstractSegment]:
+        own = self.outcome.segment
+        return [part for part in (*self.head, own) if part is not None and part.first < part.end]
 
-    def pending(self) -> list[int]:
-        """List the chunks that are to be compared with the one before."""
-        numbers = range(1, len(self.chunks))
-        return [
-            k for k in numbers if self.is_complete(k - 1) and not self.errors[k] and not self.is_joined(k)
-        ]
+    @property
+    def last(self) -> TrackedFrame | None:
+        """The last frame; None if it could not be tracked."""
+        segments = self.segments
+        return last_frame(segments[-1]) if segments and segments[-1].end == self.end else None
 
 
 def join_chunks(
@@ -110,107 +115,87 @@ def join_chunks(
     chunks: Sequence[Chunk],
     run: RunTasks,
     start: Pose | TrackedFrame | None = None,
-    tolerance: float = TOLERANCE,
 ) -> JoinedChunks:
-    """Track all chunks by `run`, and join them where they agree (`compare_frames`).
+    """Track all chunks by `run`.
 
     **Arguments:** `start` as of `track_frames`, for the first chunk.
 
-    The first frames of the sequence are tracked while the first poses of the other chunks are searched for: all chunks have the
-    baseline of the beginning. Then the chunks are tracked. In a third step chunks that do not agree with the one before are
-    tracked again, from their first frame up to `AGREEING_FRAMES` frames that agree with the earlier result. A chunk that never agrees
-    is tracked again as a whole. The chunk after it is then compared again, with the new frames.
+    The first frames of the sequence are tracked while the poses before the first frames of the other chunks are searched for: all chunks have the
+    baseline of the beginning. Then the chunks are tracked at the same time, those without a good pose together with the chunk before. A chunk whose search does not
+    agree with the last frame of the chunk before is then tracked again from there.
     """
-    state = _State(chunks)
-    _track_all(state, run, start)
-    is_first = True
-    while pending := state.pending():
-        todo = [number for number in pending if not _compare(skeleton, state, number, tolerance)]
-        if not is_first:
-            # the chunk after one that is tracked again may have to be tracked again because of that
-            todo = [number for number in todo if number - 1 not in todo]
-        _repeat(state, run, todo)
-        is_first = False
-    boundaries = [
-        Boundary(chunk.begin, *state.differences[k], state.repeated[k], state.is_joined(k))
-        for k, chunk in enumerate(chunks)
-    ]
-    return JoinedChunks(tuple(state.frames), tuple(boundaries[1:]), tuple(_failures(state)))
+    parts = _track_all(chunks, run, start)
+    while todo := _find_repeated(skeleton, parts):
+        _LOG.info("tracking %d chunks again, from the chunk before", len(todo))
+        tasks = [_repeat(parts[number - 1], parts[number]) for number in todo]
+        for number, outcome in zip(todo, _run_all(run, tasks), strict=True):
+            parts[number].again = outcome
+    segments = [segment for part in parts for segment in part.segments]
+    return JoinedChunks(tuple(segments), tuple(_boundaries(chunks, parts)), tuple(_failures(parts)))
 
 
-def _track_all(state: _State, run: RunTasks, start: Pose | TrackedFrame | None) -> None:
+def _track_all(chunks: Sequence[Chunk], run: RunTasks, start: Pose | TrackedFrame | None) -> list[_Part]:
     """Track each chunk from its own search."""
-    first, *others = state.chunks
-    tasks = [Task("head", first.first, first.end, start, "learned")]
-    tasks += [Task(f"start_{k}", c.first, c.end, None, "found") for k, c in enumerate(others, 1)]
+    first, *others = chunks
+    tasks = [Task("head", first.begin, first.end, start, is_head=True)]
+    tasks += [
+        Task(f"start_{k}", chunk.begin - 1, chunk.begin, None, is_search=True)
+        for k, chunk in enumerate(others, 1)
+    ]
     _LOG.info("tracking the first frames, and searching for the first pose of each chunk")
-    outcomes = _run_all(run, tasks)
-    head = outcomes[0].segment
-    known = None if head is None or head.first == head.end else last_frame(head)
-    tasks, numbers = [], []
-    for number, (chunk, outcome) in enumerate(zip(state.chunks, outcomes, strict=True)):
-        found, state.errors[number] = outcome
-        if found is None or found.first == found.end:
-            continue
-        if number == 0:
-            state.frames[0] = JoinedSegment([]).replace_first(found)
-        if found.end < chunk.end and not outcome.error:
-            last = last_frame(found)
-            begin = last if number == 0 or known is None else begin_chunk(last, known)
-            tasks.append(Task(f"chunk_{number}", found.end, chunk.end, begin))
-            numbers.append(number)
+    head, *searches = _run_all(run, tasks)
+    parts = [_Part(first.begin, first.end, None)]
+    for chunk, search in zip(others, searches, strict=True):
+        frame = None if search.segment is None or search.error else last_frame(search.segment)
+        if frame is None or frame.verdict != "good":
+            parts[-1].end = chunk.end
+        else:
+            parts.append(_Part(chunk.begin, chunk.end, frame))
+    known = start if isinstance(start, TrackedFrame) else None
+    begin = first.begin
+    if head.segment is not None and head.segment.first < head.segment.end:
+        parts[0].head, begin, known = [head.segment], head.segment.end, last_frame(head.segment)
+    tasks, todo = [], []
+    for number, part in enumerate(parts):
+        if number:
+            assert part.found is not None
+            found = part.found if known is None else begin_chunk(part.found, known)
+            tasks.append(Task(f"chunk_{part.begin}", part.begin, part.end, found))
+            todo.append(part)
+        elif head.error:
+            part.own = Outcome(None, head.error)
+        elif begin < part.end:
+            tasks.append(Task(f"chunk_{part.begin}", begin, part.end, start if known is None else known))
+            todo.append(part)
     _LOG.info("tracking the chunks")
-    for number, (segment, error) in zip(numbers, _run_all(run, tasks), strict=True):
-        state.errors[number] = error
-        before = state.frames[number]
-        if segment is not None and segment.first < segment.end:
-            spans = [] if before is None else before.spans
-            joined = JoinedSegment([*spans, *JoinedSegment([]).replace_first(segment).spans])
-            state.frames[number] = joined
+    for part, outcome in zip(todo, _run_all(run, tasks), strict=True):
+        part.own = outcome
+    return parts
 
 
-def _compare(skeleton: Skeleton, state: _State, number: int, tolerance: float) -> bool:
-    """Compare a chunk with the one before, in the last frames before the boundary; join it if they agree."""
-    begin, own, before = state.chunks[number].begin, state.frames[number], state.frames[number - 1]
-    first = begin - AGREEING_FRAMES
-    if own is None or before is None or own.first > first or before.first > first:
-        return False
-    pairs = zip(before.frames(first, begin), own.frames(first, begin), strict=True)
-    found = [compare_frames(skeleton, one, other, tolerance) for one, other in pairs]
-    if np.isnan(state.differences[number][0]):
-        state.differences[number] = (
-            max(comparison.distance for comparison in found),
-            max(comparison.share_difference for comparison in found),
-        )
-    agree = all(comparison.agree for comparison in found)
-    if agree:
-        state.joined[number] = state.versions[number - 1]
-    return agree
+def _find_repeated(skeleton: Skeleton, parts: Sequence[_Part]) -> list[int]:
+    """Join parts to the ones before them, and list those that are to be tracked again from there.
 
-
-def _repeat(state: _State, run: RunTasks, numbers: Sequence[int]) -> None:
-    """Track chunks again, each from the last frame of the one before until it agrees with its earlier frames."""
-    if not numbers:
-        return
-    _LOG.info("tracking %d chunks again that do not agree with the one before", len(numbers))
-    tasks = []
-    for number in numbers:
-        chunk, before = state.chunks[number], state.frames[number - 1]
-        assert before is not None
-        # the same chunk may be tracked again for each change of the one before
-        name = f"{REPEATED}{number}_{state.versions[number - 1]}"
-        tasks.append(Task(name, chunk.begin, chunk.end, last_frame(before), "agreed", state.frames[number]))
-    versions = [state.versions[number - 1] for number in numbers]
-    for number, version, (segment, error) in zip(numbers, versions, _run_all(run, tasks), strict=True):
-        state.errors[number] = error
-        if segment is None or segment.first == segment.end:
+    A part is joined again if the one before has changed. It is not listed if that one is: it may not have to be tracked again.
+    """
+    todo = list[int]()
+    for number, (before, part) in enumerate(pairwise(parts), 1):
+        last = before.last
+        if number - 1 in todo or last is None or part.joined_to is before.outcome:
             continue
-        own = state.frames[number]
-        state.frames[number] = (own or JoinedSegment([])).replace_first(segment)
-        state.repeated[number] = max(state.repeated[number], segment.end - segment.first)
-        if not error:
-            state.joined[number] = version
-            state.versions[number] += segment.end == state.chunks[number].end
+        assert part.found is not None
+        part.joined_to, part.again = before.outcome, None
+        good = last.verdict == "good"
+        part.distance = pose_distance(skeleton, last.pose, part.found.pose) if good else np.nan
+        if not agrees(skeleton, last, part.found):
+            todo.append(number)
+    return todo
+
+
+def _repeat(before: _Part, part: _Part) -> Task:
+    """Make the task that tracks a part again, from the last frame of the part before."""
+    part.num_again += 1
+    return Task(f"{REPEATED}{part.begin}_{part.num_again}", part.begin, part.end, before.last)
 
 
 def _run_all(run: RunTasks, tasks: Sequence[Task]) -> list[Outcome]:
@@ -219,12 +204,23 @@ def _run_all(run: RunTasks, tasks: Sequence[Task]) -> list[Outcome]:
     return [outcomes[number] for number in range(len(tasks))]
 
 
-def _failures(state: _State) -> list[Failure]:
-    """List the frames of chunks that could not be tracked, or could not be tracked again from the chunk before."""
-    failures = []
-    for number, (chunk, error) in enumerate(zip(state.chunks, state.errors, strict=True)):
-        if error:
-            frames = state.frames[number]
-            last = chunk.begin if frames is None else max(frames.end, chunk.begin)
-            failures.append(Failure(last if last < chunk.end else chunk.begin, chunk.end, error))
-    return failures
+def _boundaries(chunks: Sequence[Chunk], parts: Sequence[_Part]) -> Iterator[Boundary]:
+    """Describe the boundary before each chunk but the first one."""
+    joined = {part.begin: before.last is not None for before, part in pairwise(parts)}
+    part_of = {part.begin: part for part in parts[1:]}
+    for chunk in chunks[1:]:
+        part = part_of.get(chunk.begin)
+        if part is None:
+            yield Boundary(chunk.begin, np.nan, False, 0, True)
+        else:
+            repeated = part.again is not None
+            count = part.end - part.begin if repeated else 0
+            yield Boundary(chunk.begin, part.distance, not repeated, count, joined[chunk.begin])
+
+
+def _failures(parts: Sequence[_Part]) -> Iterator[Failure]:
+    """List the frames that could not be tracked."""
+    for part in parts:
+        if part.outcome.error:
+            segments = part.segments
+            yield Failure(segments[-1].end if segments else part.begin, part.end, part.outcome.error)

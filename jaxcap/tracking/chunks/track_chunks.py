@@ -16,15 +16,14 @@ from ...observe import Scan
 from ...observe.clouds import Cloud, CloudFrames
 from ...observe.floors_and_walls import find_room
 from ...observe.planes import Plane
-from ...value_checks import check_direction, check_positive
+from ...value_checks import check_direction
 from ..advance import FirstSearch
 from ..judge_frame import TrackedFrame
 from ..track_frame import Tracker, check_sigma
-from .agreement import TOLERANCE, is_unsure
-from .division import OVERLAP, Chunk, check_overlap, count_chunks, divide_frames
-from .join_chunks import Boundary, Failure, JoinedChunks, Outcome, RunTasks, join_chunks
+from .division import count_chunks, divide_frames
+from .join_chunks import Boundary, Failure, Outcome, RunTasks, join_chunks
 from .segments import StackedFrames
-from .tasks import Task, TrackSettings, forgetful_tracker, track_task
+from .tasks import Task, TrackSettings, track_task
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -37,9 +36,6 @@ class ChunkedFrames(NamedTuple):
     frames: list[TrackedFrame | None]
     boundaries: tuple[Boundary, ...]
     failures: tuple[Failure, ...]
-    #: numbers of the frames whose verdict is so near a limit that it could be another one in one run, and with it the poses of
-    #: some frames from there on
-    unsure: tuple[int, ...]
 
 
 @checked
@@ -50,70 +46,47 @@ def track_chunks(
     *,
     client: "Client | None" = None,
     chunks: int | None = None,
-    overlap: int = OVERLAP,
-    tolerance: float = TOLERANCE,
     search: FirstSearch = "auto",
     sigma: float = 0.1,
     up: tuple[float, float, float] = (0.0, 1.0, 0.0),
     first: int = 0,
     planes: Sequence[Plane] | None = None,
 ) -> ChunkedFrames:
-    """Track one long sequence in chunks on the workers of a cluster; the poses are those of one run.
+    """Track one long sequence in chunks on the workers of a cluster.
 
-    Each chunk begins `overlap` frames early, at a pose that a search finds. If it agrees with the chunk before in the last frames of
-    the overlap, it is taken as it is. If not, it is tracked again from the last frame of the chunk before until it
-    agrees; a chunk that never agrees is tracked again as a whole. Chunks agree if their joints are closer than `tolerance`, metres,
-    in several frames that are good in both. What one run finds in its first frames, floors and walls and the baseline of verdicts, is
-    found once, for all chunks.
+    Before the first frame of each chunk a search without memory finds the pose of the frame before. The chunk continues from it if it
+    agrees with the frame as it was tracked, and is otherwise tracked again from that one. A search without a good pose begins no chunk.
+    What one run finds in its first frames, floors and walls and the baseline of verdicts, is found once, for all chunks.
+    So the poses depend on the division, and not on the number of workers.
 
     **Arguments:** `client` is one of `dask.distributed`; by default a cluster of this computer is started. `chunks` is the number of
-    chunks, by default up to four for each worker, and fewer in a short sequence. `start`, `search`, `sigma`, `up`, `first` and
+    chunks, by default `count_chunks`. `start`, `search`, `sigma`, `up`, `first` and
     `planes` as in `track_frames`; chunks after the first one always search. A sequence that loads its clouds on access, as
     `read_clouds` returns, loads them on the workers, which then need the files at the same paths.
 
     A chunk with a cloud that cannot be tracked does not stop the others: its frames are None from there on, and it is in
-    `failures`. If the cloud is among the `overlap` frames before a chunk, all frames of this chunk are None, too. The frames of a
-    chunk after it are not `joined`. All frames are held in memory.
+    `failures`. The frames of a chunk after it are not `joined`. All frames are kept in memory.
 
-    The tracker is made by `forgetful_tracker`, with more iterations than usual, and so should be that of a run to compare with: with the usual
-    settings runs that begin at different poses never become equal. Workers of a `client` should have one thread of XLA each
-    (`open_cluster`): with other numbers of threads sums have other rounding errors.
+    Workers of a `client` should have one thread of XLA each (`open_cluster`): with other numbers of threads sums have other rounding errors.
 
     **Raises:** `InputError` for arguments out of range, and as `map_jobs` does.
     """
     check_sigma("track_chunks", sigma)
     check_direction("track_chunks", up=up)
-    check_positive("track_chunks", "metres", tolerance=tolerance)
-    check_overlap(overlap)
     sequence = CloudFrames(clouds)
     if not len(sequence):
-        return ChunkedFrames([], (), (), ())
-    if chunks is not None:
-        divide_frames(len(sequence), chunks, overlap)
+        return ChunkedFrames([], (), ())
+    number = count_chunks(len(sequence)) if chunks is None else chunks
+    divided = divide_frames(len(sequence), number, first)
     room = first_room(sequence) if planes is None else planes
-    tracker = forgetful_tracker(tracker)
-    settings = TrackSettings(search, sigma, up, tuple(room), tolerance)
+    settings = TrackSettings(search, sigma, up, tuple(room))
     with contextlib.nullcontext(client) if client is not None else open_cluster(threads=1) as opened:
-        number = count_chunks(len(sequence), count_workers(opened), overlap) if chunks is None else chunks
-        divided = divide_frames(len(sequence), number, overlap, first)
         run = run_on(opened, partial(_track, tracker, settings), partial(_with_clouds, clouds, first))
-        joined = join_chunks(tracker.body.skeleton, divided, run, start, tolerance)
-    frames: list[TrackedFrame | None] = []
-    for chunk, segment in zip(divided, joined.chunks, strict=True):
-        end = chunk.begin if segment is None else min(segment.end, chunk.end)
-        frames += segment.frames(chunk.begin, end) if segment is not None and end > chunk.begin else []
-        frames += [None] * (chunk.end - max(end, chunk.begin))
-    return ChunkedFrames(frames, joined.boundaries, joined.failures, tuple(_unsure_frames(divided, joined)))
-
-
-def _unsure_frames(chunks: Sequence[Chunk], joined: JoinedChunks) -> Iterator[int]:
-    """Iterate over the frames of joined chunks that may have another verdict in one run."""
-    for chunk, segment, boundary in zip(chunks[1:], joined.chunks[1:], joined.boundaries, strict=True):
-        if segment is not None and boundary.joined:
-            first = boundary.frame + boundary.num_repeated
-            for number, frame in enumerate(segment.frames(first, chunk.end), first):
-                if is_unsure(frame.judgement, boundary.margin):
-                    yield number
+        joined = join_chunks(tracker.body.skeleton, divided, run, start)
+    frames: list[TrackedFrame | None] = [None] * len(sequence)
+    for segment in joined.segments:
+        frames[segment.first - first : segment.end - first] = segment.frames(segment.first, segment.end)
+    return ChunkedFrames(frames, joined.boundaries, joined.failures)
 
 
 def first_room(clouds: Sequence[Cloud]) -> tuple[Plane, ...]:

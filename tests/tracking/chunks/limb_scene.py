@@ -15,7 +15,7 @@ from jaxcap.body.skeleton import make_skeleton
 from jaxcap.geometry.mesh import sample_surface
 from jaxcap.observe.clouds import Cloud, make_cloud
 from jaxcap.tracking.chunks.join_chunks import Outcome
-from jaxcap.tracking.chunks.tasks import Task, TrackSettings, forgetful_tracker
+from jaxcap.tracking.chunks.tasks import Task, TrackSettings
 from jaxcap.tracking.chunks.track_chunks import _track
 from jaxcap.tracking.track_frame import make_tracker
 
@@ -33,7 +33,7 @@ def make_hinged_limb() -> Body:
 
 BODY = make_hinged_limb()
 SKELETON = BODY.skeleton
-TRACKER = forgetful_tracker(make_tracker(BODY))
+TRACKER = make_tracker(BODY)
 POINTS, NOISE = 300, 0.002
 _pose_body = eqx.filter_jit(pose_body)
 

@@ -1,40 +1,55 @@
-"""Chunks of a sequence, joined: the poses of one run, also where a boundary is in a passage that no search resolves."""
+"""Chunks of a sequence, joined: the poses of one sequential run, whether or not searches find the poses between chunks."""
 
 from itertools import pairwise
 
+import equinox as eqx
 import numpy as np
 import pytest
 from limb_scene import SKELETON, TRACKER, joints, pose_of, run_here, scan, scan_frames
 
+from jaxcap.body.pose import rest_pose
 from jaxcap.errors import InputError
 from jaxcap.observe.clouds import make_cloud, missing_cloud
+from jaxcap.tracking.advance import find_first_frame, make_follower
+from jaxcap.tracking.chunks.agreement import pose_distance
 from jaxcap.tracking.chunks.division import count_chunks, divide_frames, name_ranges
 from jaxcap.tracking.chunks.join_chunks import join_chunks
 from jaxcap.tracking.chunks.segments import StackedFrames
-from jaxcap.tracking.chunks.tasks import TrackSettings
+from jaxcap.tracking.chunks.tasks import TrackSettings, begin_chunk
 from jaxcap.tracking.track import track_frames
 
-FRAMES, OVERLAP = 80, 30
+FRAMES, BOUNDARY = 80, 40
 SETTINGS = TrackSettings(sigma=0.05)
 
 
-def track_in_chunks(clouds, chunks=2, overlap=OVERLAP):
-    divided, begun = divide_frames(len(clouds), chunks, overlap), []
-    joined = join_chunks(SKELETON, divided, run_here(clouds, SETTINGS, begun), pose_of(0))
-    frames = []
-    for chunk, segment in zip(divided, joined.chunks, strict=True):
-        frames += [] if segment is None else list(segment.frames(chunk.begin, chunk.end))
+def track_in_chunks(clouds, change=None):
+    """Track two chunks in this process; `change` alters the frames that searches find."""
+    begun = []
+    run_all = run_here(clouds, SETTINGS, begun)
+
+    def run(tasks):
+        for number, outcome in run_all(tasks):
+            if change is not None and tasks[number].is_search:
+                first, end = outcome.segment.first, outcome.segment.end
+                frames = [change(frame) for frame in outcome.segment.frames(first, end)]
+                outcome = outcome._replace(segment=StackedFrames(first, frames))
+            yield number, outcome
+
+    joined = join_chunks(SKELETON, divide_frames(len(clouds), 2), run, pose_of(0))
+    frames = [frame for segment in joined.segments for frame in segment.frames(segment.first, segment.end)]
     return joined, frames, begun
 
 
-def track_in_one(clouds):
-    return list(track_frames(TRACKER, clouds, pose_of(0), sigma=SETTINGS.sigma, planes=[]))
+def track_in_one(clouds, start=None, first=0):
+    start = pose_of(0) if start is None else start
+    return list(track_frames(TRACKER, clouds, start, sigma=SETTINGS.sigma, planes=[], first=first))
 
 
-def distances(frames, others) -> np.ndarray:
-    """Largest distance of a joint in each frame, metres."""
-    pairs = zip(frames, others, strict=True)
-    return np.array([np.linalg.norm(joints(a.pose) - joints(b.pose), axis=1).max() for a, b in pairs])
+def assert_same(frames, others):
+    """Check that frames have the same poses, bit by bit, and the same verdicts."""
+    for frame, other in zip(frames, others, strict=True):
+        assert np.array_equal(joints(frame.pose), joints(other.pose))
+        assert frame.verdict == other.verdict
 
 
 @pytest.fixture(scope="module")
@@ -42,86 +57,116 @@ def clouds():
     return scan_frames(FRAMES)
 
 
-def test_frames_are_divided_with_overlap():
-    chunks = divide_frames(100, 3, 10, first=5)
-    assert chunks[0].first == chunks[0].begin == 5
-    assert chunks[-1].end == 105
-    for before, chunk in pairwise(chunks):
-        assert chunk.begin == before.end
-        assert chunk.begin - chunk.first == 10
-    with pytest.raises(InputError, match="4 chunks with an overlap of 30 frames"):
-        divide_frames(100, 4, 30)
-    with pytest.raises(InputError, match="must be above 5"):
-        divide_frames(100, 2, 5)
+@pytest.fixture(scope="module")
+def alone(clouds):
+    return track_in_one(clouds)
 
 
-@pytest.mark.parametrize(("frames", "workers"), [(20_000, 2), (1000, 2), (50, 4), (10**6, 100)])
-def test_every_worker_has_a_chunk_and_little_is_tracked_twice(frames, workers):
-    count = count_chunks(frames, workers)
-    chunks = divide_frames(frames, count)
-    twice = sum(chunk.begin - chunk.first for chunk in chunks)
-    assert count >= min(workers, frames // 120)
-    assert twice <= 0.1 * frames or count == workers
+def test_frames_are_divided():
+    chunks = divide_frames(100, 3, first=5)
+    assert chunks[0].begin == 5 and chunks[-1].end == 105
+    assert all(before.end == chunk.begin for before, chunk in pairwise(chunks))
+    assert {chunk.end - chunk.begin for chunk in chunks} <= {33, 34}
+    with pytest.raises(InputError, match="100 frames were to be divided into 51 chunks"):
+        divide_frames(100, 51)
+
+
+@pytest.mark.parametrize(
+    ("frames", "number"), [(1, 1), (299, 1), (400, 2), (1600, 8), (3900, 8), (20_000, 40), (10**6, 2000)]
+)
+def test_chunks_are_neither_short_nor_long(frames, number):
+    assert count_chunks(frames) == number
 
 
 def test_ranges_are_named():
     assert name_ranges([(3, 9), (12, 13)]) == "3 to 8, 12"
 
 
-def test_chunks_that_agree_are_those_of_one_run(clouds):
+def test_chunks_are_those_of_one_run_that_begins_again_at_each_boundary(clouds, alone):
     joined, frames, begun = track_in_chunks(clouds)
-    alone = track_in_one(clouds)
-    assert [task.name for task in begun] == ["head", "start_1", "chunk_0", "chunk_1"]
+    assert [task.name for task in begun] == ["head", "start_1", "chunk_0", "chunk_40"]
     (boundary,) = joined.boundaries
-    assert boundary.joined and boundary.num_repeated == 0 and boundary.distance < 1e-4
-    assert distances(frames, alone).max() < 1e-4
-    assert [frame.verdict for frame in frames] == [frame.verdict for frame in alone]
+    assert boundary.joined and boundary.searched and boundary.num_repeated == 0
     assert not joined.failures
+    # the same by hand: the frame before the boundary is found from rest, and continues with the baseline of the first 30 frames
+    follower = make_follower(TRACKER)
+    found = find_first_frame(
+        follower, clouds[BOUNDARY - 1], rest_pose(SKELETON), BOUNDARY - 1, sigma=SETTINGS.sigma
+    )
+    assert boundary.distance == pytest.approx(pose_distance(SKELETON, alone[BOUNDARY - 1].pose, found.pose))
+    later = track_in_one(clouds[BOUNDARY:], begin_chunk(found, alone[29]), BOUNDARY)
+    assert_same(frames, [*alone[:BOUNDARY], *later])
+    # and the poses are those without chunks, up to the noise of the clouds
+    far = [pose_distance(SKELETON, frame.pose, one.pose) for frame, one in zip(frames, alone, strict=True)]
+    assert max(far) < 5e-3
 
 
-def test_a_boundary_without_a_person_is_tracked_again(clouds):
-    """Nobody is there from before the boundary on: the second chunk begins when the limb comes back."""
+def test_a_boundary_without_a_person_begins_no_chunk(clouds):
     away = [missing_cloud("nobody is there.")] * 24
     hidden = [*clouds[:26], *away, *clouds[50:]]
-    joined, frames, begun = track_in_chunks(hidden)
-    alone = track_in_one(hidden)
+    joined, frames, _ = track_in_chunks(hidden)
     (boundary,) = joined.boundaries
-    assert begun[-1].name == "again_1_0"
-    assert boundary.joined and 10 < boundary.num_repeated < 40
-    assert [frame.verdict for frame in frames] == [frame.verdict for frame in alone]
-    assert distances(frames, alone).max() < 1e-4
+    assert boundary.joined and not boundary.searched and boundary.num_repeated == 0
+    assert_same(frames, track_in_one(hidden))
 
 
-def test_a_chunk_that_begins_lost_is_tracked_again(clouds):
-    """Junk hides the limb in the whole overlap and after it."""
+def test_a_search_that_finds_another_pose_is_not_followed(clouds, alone):
+    def translations(frame):
+        return frame.pose.translations, frame.state.estimate.pose.translations, frame.trusted.translations
+
+    def shift(frame):
+        moved = frame.pose.translations.at[0, 0].add(0.1)
+        return eqx.tree_at(translations, frame, (moved, moved, moved))
+
+    joined, frames, begun = track_in_chunks(clouds, shift)
+    assert [task.name for task in begun][-1] == "again_40_1"
+    (boundary,) = joined.boundaries
+    assert boundary.joined and not boundary.searched and boundary.num_repeated == FRAMES - BOUNDARY
+    assert boundary.distance == pytest.approx(0.1, abs=0.01)
+    assert_same(frames, alone)
+
+
+def test_a_lost_person_is_found_before_the_next_chunk(clouds):
+    """Junk hides the limb until two frames before the boundary; tracking pauses between its searches there."""
     rng = np.random.default_rng(5)
 
     def junk():
         points = rng.uniform([-0.4, -0.1, -0.4], [0.4, 0.6, 0.4], (300, 3))
         return make_cloud(points, rng.normal(size=points.shape))
 
-    hard = [*clouds[:15], *(junk() for _ in range(30)), *clouds[45:]]
-    joined, frames, begun = track_in_chunks(hard)
-    alone = track_in_one(hard)
+    hard = [*clouds[:15], *(junk() for _ in range(23)), *clouds[38:]]
+    joined, frames, _ = track_in_chunks(hard)
     (boundary,) = joined.boundaries
-    assert begun[-1].name == "again_1_0"
-    assert boundary.joined and boundary.num_repeated > 5
-    assert {frame.verdict for frame in frames[15:45]} != {"good"}
-    assert distances(frames, alone).max() < 1e-4
+    assert boundary.joined and boundary.searched
+    assert {frame.verdict for frame in frames[15:38]} != {"good"}
+    assert {frame.verdict for frame in frames[BOUNDARY:]} == {"good"}
+    for number in range(BOUNDARY, FRAMES):
+        truth = np.asarray(joints(pose_of(number)))
+        assert np.linalg.norm(joints(frames[number].pose) - truth, axis=1).max() < 0.02
 
 
-def test_a_cloud_that_cannot_be_tracked_fails_its_chunk_alone(clouds):
-    few = scan(pose_of(50), 50)
-    bad = [*clouds[:50], make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3]), *clouds[51:]]
-    joined, _, _ = track_in_chunks(bad)
+@pytest.mark.parametrize("bad", [BOUNDARY - 1, 50])
+def test_a_cloud_that_cannot_be_tracked_fails_the_frames_after_it(clouds, bad):
+    few = scan(pose_of(bad), bad)
+    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
+    joined, frames, _ = track_in_chunks([*clouds[:bad], damaged, *clouds[bad + 1 :]])
     (failure,) = joined.failures
-    assert (failure.first, failure.end) == (50, FRAMES)
-    assert "cloud 50" in failure.message
-    first, second = joined.chunks
-    assert first is not None and first.end == 40
-    assert second is not None and second.end == 50
+    assert (failure.first, failure.end) == (bad, FRAMES)
+    assert f"cloud {bad}" in failure.message
+    assert len(frames) == bad
 
 
-def test_frames_that_are_none_are_a_segment():
+def test_a_chunk_that_fails_does_not_fail_the_next_one(clouds):
+    few = scan(pose_of(20), 20)
+    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
+    joined, _, _ = track_in_chunks([*clouds[:20], damaged, *clouds[21:]])
+    (failure,) = joined.failures
+    assert (failure.first, failure.end) == (20, BOUNDARY)
+    (boundary,) = joined.boundaries
+    assert not boundary.joined
+    assert joined.segments[-1].end == FRAMES
+
+
+def test_no_frames_are_a_segment():
     nothing = StackedFrames(4, [])
     assert (nothing.first, nothing.end, list(nothing.frames(4, 4))) == (4, 4, [])
