@@ -9,9 +9,9 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ..judge_frame import TrackedFrame
 
-#: largest distance between the same joints of a tracked pose and of one that a search found, if they are the same pose but for what
-#: the cloud does not determine, such as the rotation of fingers, metres
-TOLERANCE = 0.05
+#: largest distance between the same joints of a tracked pose and of one that a search found, if they are the same pose but for fingers or a
+#: turned hand, metres: searches found these at least as accurately
+TOLERANCE = 0.15
 
 
 def agrees(skeleton: Skeleton, tracked: TrackedFrame, found: TrackedFrame) -> bool:
