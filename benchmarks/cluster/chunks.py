@@ -198,7 +198,7 @@ def main() -> None:
             "max_mm": float(mm.max()),
             "equal_frames": int((mm == 0).sum()),
             "repeated_frames": sum(boundary["num_repeated"] for boundary in report["boundaries"]),
-            "not_searched": sum(not boundary["searched"] for boundary in report["boundaries"]),
+            "dependent_chunks": sum(not boundary["independent"] for boundary in report["boundaries"]),
             "not_joined": sum(not boundary["joined"] for boundary in report["boundaries"]),
         }
         compared = [("chunks", "two", two)]

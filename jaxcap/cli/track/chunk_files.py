@@ -1,7 +1,7 @@
 """The files of a run in chunks: one journal for each task, from which a killed worker's task and a stopped run continue."""
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from ...io.archives.journal import Journal, create_journal, read_records, resume
 from ...io.lazy_frames import LazyFrames
 from ...io.system.run_lock import run_lock
 from ...observe.clouds import Cloud
+from ...tracking.advance import Search
 from ...tracking.chunks.division import name_ranges
 from ...tracking.chunks.join_chunks import Outcome
 from ...tracking.chunks.segments import AbstractSegment, last_frame
@@ -89,8 +90,7 @@ def _run_task(run: ChunkedRun, task: Task) -> Outcome:
     with run_lock(path), _open_journal(run, task, path, row_width(like)) as journal:
         saved = JournalSegment(path, task.first, task.first + journal.count, like)
         left = task._replace(first=saved.end, start=last_frame(saved)) if journal.count else task
-        # the first pose of a chunk is always searched for
-        announce = None if task.is_search else make_announcer()
+        announce = _announcer_of(task)
         clouds = announce_missing(iter(run.clouds[saved.end : task.end]))
         try:
             frames = track_task(run.tracker, clouds, left, run.settings, announce)
@@ -100,6 +100,17 @@ def _run_task(run: ChunkedRun, task: Task) -> Outcome:
         except InputError as reason:
             error = user_message(reason)
         return Outcome(JournalSegment(path, task.first, task.first + journal.count, like), error)
+
+
+def _announcer_of(task: Task) -> Callable[[Search], None]:
+    """Make the function that prints the searches of a task, but for those of frames that are not part of the result."""
+    announce = make_announcer()
+
+    def announce_result(search: Search) -> None:
+        if search.frame >= task.first + task.warm_up:
+            announce(search)
+
+    return announce_result
 
 
 def _open_journal(run: ChunkedRun, task: Task, path: Path, width: int) -> Journal:
@@ -114,7 +125,6 @@ def _open_journal(run: ChunkedRun, task: Task, path: Path, width: int) -> Journa
         "frames": [task.first, task.end],
         "start": start.hexdigest(),
         "head": task.is_head,
-        "search": task.is_search,
         "clouds": names.hexdigest(),
     }
     header = {**run.header, **known}

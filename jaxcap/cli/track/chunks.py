@@ -10,14 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
+
 from ...batch.cluster import open_cluster
 from ...batch.mapping import map_jobs
 from ...errors import InputError
 from ...io.archives.journal import Journal, count_records
 from ...io.table import write_json
-from ...tracking.chunks.division import LEAST, Chunk, count_chunks, divide_frames, name_ranges
+from ...tracking.chunks.division import WARM_UP, Chunk, count_chunks, divide_frames, name_ranges
 from ...tracking.chunks.join_chunks import REPEATED, Boundary, Outcome, join_chunks
-from ...tracking.chunks.segments import AbstractSegment
+from ...tracking.chunks.segments import Span
 from ...tracking.chunks.tasks import Task
 from ...tracking.chunks.track_chunks import count_workers, outcome_of
 from ...tracking.judge_frame import TrackedFrame
@@ -64,7 +66,7 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
             say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
             with watch_frames(run.folder, chunks):
                 joined = join_chunks(
-                    run.tracker.body.skeleton,
+                    run.tracker,
                     chunks,
                     partial(_run, client, run),
                     _frame_before(run, journal, chunks[0].begin),
@@ -82,7 +84,7 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
             f"{lines} The frames of all other chunks are kept; correct the input and give --resume to continue."
         )
     set_activity("joining the chunks")
-    _add_rows(joined.segments, journal)
+    _add_rows(joined.spans, journal)
     write_json(report, {"boundaries": [boundary._asdict() for boundary in joined.boundaries]})
     shutil.rmtree(run.folder)
     _describe(joined.boundaries)
@@ -101,7 +103,7 @@ def find_division(path: Path, count: int, options: ChunkOptions, num_done: int) 
     chosen = None if chunks else options.chunks
     number = chosen or count_chunks(left)
     # what is left of a stopped run may be short
-    most = max(left // LEAST, 1) if begin else number
+    most = max(left // WARM_UP, 1) if begin else number
     chunks += divide_frames(left, min(number, most), begin)
     write_json(path, {"chunks": [list(chunk) for chunk in chunks]})
     return chunks
@@ -136,12 +138,12 @@ def _run(client, run: ChunkedRun, tasks: Sequence[Task]) -> Iterator[tuple[int, 
         yield result.number, outcome_of(result)
 
 
-def _add_rows(segments: Sequence[AbstractSegment], journal: Journal) -> None:
+def _add_rows(spans: Sequence[Span], journal: Journal) -> None:
     """Add the rows of all frames to the journal of the run."""
-    for segment in segments:
-        assert isinstance(segment, JournalSegment)
+    for span in spans:
+        assert isinstance(span.segment, JournalSegment)
         # rows that a stopped run has added are there
-        for rows in segment.rows(max(segment.first, journal.count), segment.end):
+        for rows in span.segment.rows(max(span.first, journal.count), span.end):
             for row in rows:
                 journal.append(row)
 
@@ -149,18 +151,18 @@ def _add_rows(segments: Sequence[AbstractSegment], journal: Journal) -> None:
 def _describe(boundaries: Sequence[Boundary]) -> None:
     """Print how the chunks were joined."""
     for boundary in boundaries:
-        if boundary.num_repeated:
+        if boundary.num_repeated and not np.isnan(boundary.distance):
             frames = name_ranges([(boundary.frame, boundary.frame + boundary.num_repeated)])
             warn(
-                f"before frame {boundary.frame} a search found another pose than tracking, {boundary.distance:.2f} m from it at one joint; "
-                f"both look right, and frames {frames} continue the tracked one: check them"
+                f"before frame {boundary.frame} two chunks have poses that differ by {boundary.distance:.2f} m at a joint, and both look "
+                f"right; frames {frames} continue the earlier chunk: check them"
             )
 
 
 @contextlib.contextmanager
 def watch_frames(folder: Path, chunks: Sequence[Chunk]) -> Iterator[None]:
-    """Report the number of tracked frames in a folder of journals during a block: those of all chunks, and one before each."""
-    stop, count = threading.Event(), chunks[-1].end - chunks[0].begin + len(chunks) - 1
+    """Report the number of tracked frames in a folder of journals during a block: those of all chunks, and those before each."""
+    stop, count = threading.Event(), chunks[-1].end - chunks[0].begin + WARM_UP * (len(chunks) - 1)
 
     def watch(move: Callable[..., None]) -> None:
         start, printed, begun = time.monotonic(), time.monotonic(), None

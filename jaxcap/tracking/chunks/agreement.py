@@ -1,4 +1,7 @@
-"""Agreement of a tracked frame with the same frame as a search found it."""
+"""Agreement of a frame in two chunks."""
+
+import math
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -9,17 +12,30 @@ from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ..judge_frame import TrackedFrame
 
-#: largest distance between the same joints of a tracked pose and of one that a search found, if they are the same pose but for fingers or a
-#: turned hand, metres: searches found these at least as accurately
+#: largest distance between the same joints of two poses that are the same but for fingers or a turned hand, metres
 TOLERANCE = 0.15
 
 
-def agrees(skeleton: Skeleton, tracked: TrackedFrame, found: TrackedFrame) -> bool:
-    """Decide if tracking may continue from a frame as a good search found it, instead of as it was tracked.
+class Comparison(NamedTuple):
+    """The last frame before a chunk, in the chunk before and in its own first frames."""
 
-    It may if both are the same pose (`TOLERANCE`), or if tracking had no good pose.
+    #: largest distance between the same joints, metres; NaN where one of both is not good
+    distance: float
+    #: tracking may continue from the own frame
+    agree: bool
+
+
+def compare_frames(skeleton: Skeleton, before: TrackedFrame, own: TrackedFrame) -> Comparison:
+    """Decide if tracking may continue from the `own` frame of a chunk instead of that of the chunk `before`.
+
+    It may if both are good and the same pose (`TOLERANCE`), or if that of the chunk before is not good.
     """
-    return tracked.verdict != "good" or pose_distance(skeleton, tracked.pose, found.pose) <= TOLERANCE
+    if before.verdict != "good":
+        return Comparison(math.nan, True)
+    if own.verdict != "good":
+        return Comparison(math.nan, False)
+    distance = pose_distance(skeleton, before.pose, own.pose)
+    return Comparison(distance, distance <= TOLERANCE)
 
 
 def pose_distance(skeleton: Skeleton, one: Pose, other: Pose) -> float:

@@ -8,10 +8,10 @@ import numpy as np
 
 from ...errors import InputError
 
-#: usual number of chunks, and least and largest usual number of frames in one: each chunk costs a search
+#: usual number of chunks, and least and largest usual number of frames in one: each chunk costs frames that are tracked twice
 CHUNKS, MIN_FRAMES, MAX_FRAMES = 8, 200, 500
-#: least number of frames in a chunk
-LEAST = 2
+#: number of frames before a chunk in which the pose before its first frame is found
+WARM_UP = 8
 
 
 class Chunk(NamedTuple):
@@ -32,13 +32,13 @@ def count_chunks(num_frames: int) -> int:
 def divide_frames(num_frames: int, num_chunks: int, first: int = 0) -> list[Chunk]:
     """Divide the frames from `first` on into chunks of nearly equal lengths.
 
-    **Raises:** `InputError` if a chunk would have fewer than `LEAST` frames.
+    **Raises:** `InputError` if a chunk would have fewer than `WARM_UP` frames.
     """
     if num_chunks < 1:
         raise InputError(f"The number of chunks is {num_chunks}; it must be at least 1.")
-    if num_chunks > 1 and num_frames < LEAST * num_chunks:
+    if num_chunks > 1 and num_frames < WARM_UP * num_chunks:
         raise InputError(
-            f"{num_frames} frames were to be divided into {num_chunks} chunks; each chunk needs at least {LEAST} frames: give fewer "
+            f"{num_frames} frames were to be divided into {num_chunks} chunks; each chunk needs at least {WARM_UP} frames: give fewer "
             "chunks."
         )
     bounds = first + np.linspace(0, num_frames, num_chunks + 1).round().astype(int)

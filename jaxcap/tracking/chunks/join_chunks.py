@@ -1,15 +1,15 @@
-"""Chunks that are tracked at the same time, each from a search of its own, and that continue each other.
+"""Chunks that are tracked at the same time, each from the beginning of the sequence, and that continue each other.
 
 Tracking is sequential: a frame begins in the state of the frame before. Two runs that begin in states which differ by a rounding error do not become
-equal again where the cloud determines a pose weakly, such as that of fingers. So a sequence in chunks is another, exactly defined run: before the first
-frame of each chunk a search without memory finds the pose of the frame before. Tracking continues from there if the frame as it was tracked
-agrees with it, otherwise from the frame as it was tracked. Then most chunks depend on no other one, and can be tracked at the same time;
+equal again where the cloud determines a pose weakly, such as that of fingers. So a sequence in chunks is another, exactly defined run. Some frames before
+each chunk its pose is found anew, as after a gap in the recording, from the last frame of the beginning. The chunk continues from there if the pose before its
+first frame agrees with that of the chunk before; otherwise it is tracked again from the chunk before. Then most chunks depend on no other one but the first, and can be tracked at the same time;
 the result depends on the division only, and not on the number of workers.
 """
 
 import logging
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -18,9 +18,11 @@ import numpy as np
 from ...body.pose import Pose
 from ...body.skeleton import Skeleton
 from ..judge_frame import TrackedFrame
-from .agreement import agrees, pose_distance
-from .division import Chunk
-from .segments import AbstractSegment, last_frame
+from ..missing import has_begun
+from ..track_frame import Tracker
+from .agreement import compare_frames
+from .division import WARM_UP, Chunk
+from .segments import AbstractSegment, Span, last_frame
 from .tasks import Task, begin_chunk
 
 _LOG = logging.getLogger(__name__)
@@ -46,12 +48,11 @@ class Boundary(NamedTuple):
 
     #: number of the first frame after it
     frame: int
-    #: largest distance between the same joints of the frame before it as it was tracked and as a search found it, metres; NaN where
-    #: one of both is not good
+    #: largest distance between the same joints of the two poses before it, metres; NaN where one of both is not good
     distance: float
-    #: the frames after it begin at the pose of the search
-    searched: bool
-    #: number of frames after it that were tracked again, as both poses do not agree
+    #: the frames after it do not depend on the chunk before
+    independent: bool
+    #: number of frames after it that were tracked again, from the chunk before
     num_repeated: int
     #: the frames after it continue those before it; not where these could not be tracked
     joined: bool
@@ -70,26 +71,23 @@ class JoinedChunks(NamedTuple):
     """The frames of a sequence, and how its chunks were joined."""
 
     #: in order; frames that could not be tracked are in none
-    segments: tuple[AbstractSegment, ...]
+    spans: tuple[Span, ...]
     boundaries: tuple[Boundary, ...]
     failures: tuple[Failure, ...]
 
 
 @dataclass
 class _Part:
-    """Successive chunks that begin at the pose of one search: all but the first one have none."""
+    """A chunk and its frames."""
 
-    begin: int
-    end: int
-    #: of the frame before; None at the beginning of the sequence
-    found: TrackedFrame | None
-    #: tracked from the pose of the search, and again from the part before
+    chunk: Chunk
+    #: frames of the beginning of the sequence, which only the first chunk has
+    head: AbstractSegment | None = None
+    #: tracked from the beginning of the sequence, and again from the chunk before
     own: Outcome = NO_FRAMES
     again: Outcome | None = None
-    #: the beginning of the sequence, before the first frame of both
-    head: list[AbstractSegment] = field(default_factory=list)
-    #: what the part before was when this one was joined to it, and the distance between its last frame and the search
-    joined_to: Outcome | None = None
+    #: what the chunk before was when this one was compared with it
+    compared: Outcome | None = None
     distance: float = np.nan
     #: how often it was tracked again
     num_again: int = 0
@@ -99,19 +97,21 @@ class _Part:
         return self.own if self.again is None else self.again
 
     @property
-    def segments(self) -> list[AbstractSegment]:
-        own = self.outcome.segment
-        return [part for part in (*self.head, own) if part is not None and part.first < part.end]
+    def spans(self) -> list[Span]:
+        """The frames of the chunk, in order."""
+        segments = [segment for segment in (self.head, self.outcome.segment) if segment is not None]
+        spans = [Span(max(each.first, self.chunk.begin), each.end, each) for each in segments]
+        return [span for span in spans if span.first < span.end]
 
-    @property
-    def last(self) -> TrackedFrame | None:
-        """The last frame; None if it could not be tracked."""
-        segments = self.segments
-        return last_frame(segments[-1]) if segments and segments[-1].end == self.end else None
+    def frame(self, number: int) -> TrackedFrame | None:
+        """Return a frame of the chunk, or one before it; None if it could not be tracked."""
+        segments = [segment for segment in (self.head, self.outcome.segment) if segment is not None]
+        found = [segment for segment in segments if segment.first <= number < segment.end]
+        return next(found[0].frames(number, number + 1)) if found else None
 
 
 def join_chunks(
-    skeleton: Skeleton,
+    tracker: Tracker,
     chunks: Sequence[Chunk],
     run: RunTasks,
     start: Pose | TrackedFrame | None = None,
@@ -120,82 +120,71 @@ def join_chunks(
 
     **Arguments:** `start` as of `track_frames`, for the first chunk.
 
-    The first frames of the sequence are tracked while the poses before the first frames of the other chunks are searched for: all chunks have the
-    baseline of the beginning. Then the chunks are tracked at the same time, those without a good pose together with the chunk before. A chunk whose search does not
-    agree with the last frame of the chunk before is then tracked again from there.
+    The first frames of the sequence are tracked first: all chunks have their baseline. Then the chunks are tracked at the same
+    time. One that does not agree with the last frame of the chunk before is then tracked again from there.
     """
-    parts = _track_all(chunks, run, start)
-    while todo := _find_repeated(skeleton, parts):
+    parts = _track_all(tracker, chunks, run, start)
+    while todo := _find_repeated(tracker.body.skeleton, parts):
         _LOG.info("tracking %d chunks again, from the chunk before", len(todo))
         tasks = [_repeat(parts[number - 1], parts[number]) for number in todo]
         for number, outcome in zip(todo, _run_all(run, tasks), strict=True):
             parts[number].again = outcome
-    segments = [segment for part in parts for segment in part.segments]
-    return JoinedChunks(tuple(segments), tuple(_boundaries(chunks, parts)), tuple(_failures(parts)))
+    spans = [span for part in parts for span in part.spans]
+    return JoinedChunks(tuple(spans), tuple(_boundaries(parts)), tuple(_failures(parts)))
 
 
-def _track_all(chunks: Sequence[Chunk], run: RunTasks, start: Pose | TrackedFrame | None) -> list[_Part]:
-    """Track each chunk from its own search."""
+def _track_all(
+    tracker: Tracker, chunks: Sequence[Chunk], run: RunTasks, start: Pose | TrackedFrame | None
+) -> list[_Part]:
+    """Track each chunk from the beginning of the sequence."""
     first, *others = chunks
-    tasks = [Task("head", first.begin, first.end, start, is_head=True)]
-    tasks += [
-        Task(f"start_{k}", chunk.begin - 1, chunk.begin, None, is_search=True)
-        for k, chunk in enumerate(others, 1)
-    ]
-    _LOG.info("tracking the first frames, and searching for the first pose of each chunk")
-    head, *searches = _run_all(run, tasks)
-    parts = [_Part(first.begin, first.end, None)]
-    for chunk, search in zip(others, searches, strict=True):
-        frame = None if search.segment is None or search.error else last_frame(search.segment)
-        if frame is None or frame.verdict != "good":
-            parts[-1].end = chunk.end
-        else:
-            parts.append(_Part(chunk.begin, chunk.end, frame))
-    known = start if isinstance(start, TrackedFrame) else None
-    begin = first.begin
+    parts = [_Part(chunk) for chunk in chunks]
+    _LOG.info("tracking the first frames")
+    (head,) = _run_all(run, [Task("head", first.begin, first.end, start, is_head=True)])
+    begun, known = first.begin, start
     if head.segment is not None and head.segment.first < head.segment.end:
-        parts[0].head, begin, known = [head.segment], head.segment.end, last_frame(head.segment)
-    tasks, todo = [], []
-    for number, part in enumerate(parts):
-        if number:
-            assert part.found is not None
-            found = part.found if known is None else begin_chunk(part.found, known)
-            tasks.append(Task(f"chunk_{part.begin}", part.begin, part.end, found))
-            todo.append(part)
-        elif head.error:
-            part.own = Outcome(None, head.error)
-        elif begin < part.end:
-            tasks.append(Task(f"chunk_{part.begin}", begin, part.end, start if known is None else known))
-            todo.append(part)
+        parts[0].head, begun = head.segment, head.segment.end
+        known = last_frame(head.segment)
+    tasks = {}
+    if head.error:
+        parts[0].own = Outcome(None, head.error)
+    elif begun < first.end:
+        tasks[0] = Task("chunk_0", begun, first.end, known)
+    if isinstance(known, TrackedFrame):
+        # before a person is seen, nothing is known
+        known = begin_chunk(tracker, known) if has_begun(known) else start
+    for number, chunk in enumerate(others, 1):
+        earlier = min(WARM_UP, chunk.begin - first.begin)
+        tasks[number] = Task(f"chunk_{number}", chunk.begin - earlier, chunk.end, known, earlier)
     _LOG.info("tracking the chunks")
-    for part, outcome in zip(todo, _run_all(run, tasks), strict=True):
-        part.own = outcome
+    for number, outcome in zip(tasks, _run_all(run, list(tasks.values())), strict=True):
+        parts[number].own = outcome
     return parts
 
 
 def _find_repeated(skeleton: Skeleton, parts: Sequence[_Part]) -> list[int]:
-    """Join parts to the ones before them, and list those that are to be tracked again from there.
+    """Compare chunks with the ones before them, and list those that are to be tracked again from there.
 
-    A part is joined again if the one before has changed. It is not listed if that one is: it may not have to be tracked again.
+    A chunk is compared again if the one before has changed. It is not listed if that one is: it may not have to be tracked again.
     """
     todo = list[int]()
     for number, (before, part) in enumerate(pairwise(parts), 1):
-        last = before.last
-        if number - 1 in todo or last is None or part.joined_to is before.outcome:
+        last = before.frame(before.chunk.end - 1)
+        if number - 1 in todo or last is None or part.compared is before.outcome:
             continue
-        assert part.found is not None
-        part.joined_to, part.again = before.outcome, None
-        good = last.verdict == "good"
-        part.distance = pose_distance(skeleton, last.pose, part.found.pose) if good else np.nan
-        if not agrees(skeleton, last, part.found):
+        part.compared, part.again = before.outcome, None
+        own = part.frame(part.chunk.begin - 1)
+        part.distance, agree = (np.nan, False) if own is None else compare_frames(skeleton, last, own)
+        if not agree:
             todo.append(number)
     return todo
 
 
 def _repeat(before: _Part, part: _Part) -> Task:
-    """Make the task that tracks a part again, from the last frame of the part before."""
+    """Make the task that tracks a chunk again, from the last frame of the one before."""
     part.num_again += 1
-    return Task(f"{REPEATED}{part.begin}_{part.num_again}", part.begin, part.end, before.last)
+    begin, end = part.chunk
+    return Task(f"{REPEATED}{begin}_{part.num_again}", begin, end, before.frame(begin - 1))
 
 
 def _run_all(run: RunTasks, tasks: Sequence[Task]) -> list[Outcome]:
@@ -204,23 +193,17 @@ def _run_all(run: RunTasks, tasks: Sequence[Task]) -> list[Outcome]:
     return [outcomes[number] for number in range(len(tasks))]
 
 
-def _boundaries(chunks: Sequence[Chunk], parts: Sequence[_Part]) -> Iterator[Boundary]:
+def _boundaries(parts: Sequence[_Part]) -> Iterator[Boundary]:
     """Describe the boundary before each chunk but the first one."""
-    joined = {part.begin: before.last is not None for before, part in pairwise(parts)}
-    part_of = {part.begin: part for part in parts[1:]}
-    for chunk in chunks[1:]:
-        part = part_of.get(chunk.begin)
-        if part is None:
-            yield Boundary(chunk.begin, np.nan, False, 0, True)
-        else:
-            repeated = part.again is not None
-            count = part.end - part.begin if repeated else 0
-            yield Boundary(chunk.begin, part.distance, not repeated, count, joined[chunk.begin])
+    for before, part in pairwise(parts):
+        begin, end = part.chunk
+        repeated, joined = part.again is not None, before.frame(begin - 1) is not None
+        yield Boundary(begin, part.distance, not repeated, end - begin if repeated else 0, joined)
 
 
 def _failures(parts: Sequence[_Part]) -> Iterator[Failure]:
     """List the frames that could not be tracked."""
     for part in parts:
         if part.outcome.error:
-            segments = part.segments
-            yield Failure(segments[-1].end if segments else part.begin, part.end, part.outcome.error)
+            spans = part.spans
+            yield Failure(spans[-1].end if spans else part.chunk.begin, part.chunk.end, part.outcome.error)

@@ -3,6 +3,7 @@
 import abc
 from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -43,6 +44,18 @@ class StackedFrames(AbstractSegment):
 
         for row in range(first - self.first, end - self.first):
             yield jax.tree.map(partial(leaf_of, row=row), self._like, self._stacked)
+
+
+class Span(NamedTuple):
+    """The frames of a segment from one number up to before another one."""
+
+    first: int
+    end: int
+    segment: AbstractSegment
+
+    def frames(self) -> Iterator[TrackedFrame]:
+        """Iterate over the frames."""
+        return self.segment.frames(self.first, self.end)
 
 
 def last_frame(segment: AbstractSegment) -> TrackedFrame:

@@ -1,18 +1,16 @@
 """The tasks of which a sequence in chunks is made: successive frames that one worker tracks."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import NamedTuple
-
-import equinox as eqx
 
 from ...body.pose import Pose
 from ...observe import Scan
 from ...observe.clouds import Cloud
 from ...observe.planes import Plane
 from ..advance import FirstSearch, Search
-from ..judge_frame import NO_SEARCHES, TrackedFrame
+from ..judge_frame import NO_SEARCHES, TrackedFrame, reset_velocity
 from ..judgement.baseline import NUM_FIRST_FRAMES
-from ..missing import has_begun
 from ..track import track_frames
 from ..track_frame import Tracker
 
@@ -36,10 +34,10 @@ class Task(NamedTuple):
     end: int
     #: the frame before the first one; or a pose near the first frame, or None for the rest pose
     start: TrackedFrame | Pose | None
+    #: number of frames at its beginning that are not part of the result
+    warm_up: int = 0
     #: ends with the frame that completes the baseline of the sequence
     is_head: bool = False
-    #: its first frame is searched for, also where the settings forbid it
-    is_search: bool = False
 
 
 def track_task(
@@ -61,7 +59,7 @@ def track_task(
         tracker,
         clouds,
         task.start,
-        search="auto" if task.is_search and settings.search is False else settings.search,
+        search=settings.search,
         sigma=settings.sigma,
         up=settings.up,
         first=task.first,
@@ -79,22 +77,10 @@ def has_baseline(frame: TrackedFrame) -> bool:
     return float(frame.baseline.frames) >= NUM_FIRST_FRAMES
 
 
-def begin_chunk(found: TrackedFrame, head: TrackedFrame) -> TrackedFrame:
-    """Continue from a frame that was found by a search, with all else that the beginning of the sequence has shown.
+def begin_chunk(tracker: Tracker, head: TrackedFrame) -> TrackedFrame:
+    """Return the frame from which each chunk begins: the last one of the beginning of a sequence, at rest.
 
-    These are the baseline of verdicts, the shares of the parts, and the clothes.
+    It has what the beginning has shown: the baseline of verdicts, the shares of the parts, and the clothes. The pose in another frame is
+    found from it as after a gap in a recording, by hypotheses of a fast motion and by a search.
     """
-    if not has_begun(head):
-        return found
-    estimate = head.state.estimate
-    return eqx.tree_at(
-        lambda frame: (
-            frame.state.estimate.priors,
-            frame.state.estimate.clothes,
-            frame.baseline,
-            frame.searches,
-        ),
-        found,
-        (estimate.priors, estimate.clothes, head.baseline, NO_SEARCHES),
-        is_leaf=lambda leaf: leaf is None,
-    )
+    return replace(head, state=reset_velocity(tracker, head.state), searches=NO_SEARCHES)

@@ -54,18 +54,19 @@ def track_chunks(
 ) -> ChunkedFrames:
     """Track one long sequence in chunks on the workers of a cluster.
 
-    Before the first frame of each chunk a search without memory finds the pose of the frame before. The chunk continues from it if it
-    agrees with the frame as it was tracked, and is otherwise tracked again from that one. A search without a good pose begins no chunk.
+    Some frames before each chunk its pose is found anew, as after a gap in the recording. The chunk continues from it if it
+    agrees with the pose in the chunk before, and is otherwise tracked again from that one.
     What one run finds in its first frames, floors and walls and the baseline of verdicts, is found once, for all chunks.
     So the poses depend on the division, and not on the number of workers.
 
     **Arguments:** `client` is one of `dask.distributed`; by default a cluster of this computer is started. `chunks` is the number of
     chunks, by default `count_chunks`. `start`, `search`, `sigma`, `up`, `first` and
-    `planes` as in `track_frames`; chunks after the first one always search. A sequence that loads its clouds on access, as
+    `planes` as in `track_frames`. A sequence that loads its clouds on access, as
     `read_clouds` returns, loads them on the workers, which then need the files at the same paths.
 
     A chunk with a cloud that cannot be tracked does not stop the others: its frames are None from there on, and it is in
-    `failures`. The frames of a chunk after it are not `joined`. All frames are kept in memory.
+    `failures`. If the cloud is among the `WARM_UP` frames before a chunk, all frames of this chunk are None, too. The frames of a
+    chunk after it are not `joined`. All frames are kept in memory.
 
     Workers of a `client` should have one thread of XLA each (`open_cluster`): with other numbers of threads sums have other rounding errors.
 
@@ -82,10 +83,10 @@ def track_chunks(
     settings = TrackSettings(search, sigma, up, tuple(room))
     with contextlib.nullcontext(client) if client is not None else open_cluster(threads=1) as opened:
         run = run_on(opened, partial(_track, tracker, settings), partial(_with_clouds, clouds, first))
-        joined = join_chunks(tracker.body.skeleton, divided, run, start)
+        joined = join_chunks(tracker, divided, run, start)
     frames: list[TrackedFrame | None] = [None] * len(sequence)
-    for segment in joined.segments:
-        frames[segment.first - first : segment.end - first] = segment.frames(segment.first, segment.end)
+    for span in joined.spans:
+        frames[span.first - first : span.end - first] = span.frames()
     return ChunkedFrames(frames, joined.boundaries, joined.failures)
 
 

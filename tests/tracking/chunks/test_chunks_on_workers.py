@@ -21,6 +21,7 @@ from jaxcap.io.archives.npz import load_motion, save_body
 from jaxcap.io.lazy_frames import LazyFrames
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.tracking.chunks.division import Chunk
+from jaxcap.tracking.chunks.segments import Span
 from jaxcap.tracking.chunks.tasks import Task, TrackSettings
 from jaxcap.tracking.chunks.track_chunks import track_chunks
 from jaxcap.tracking.track import track_frames
@@ -61,10 +62,10 @@ def test_workers_track_the_poses_of_one_run(clouds, alone):
     with open_cluster(2, processes=False) as client:
         found = track_chunks(TRACKER, clouds, pose_of(0), client=client, chunks=2, planes=[])
     assert not found.failures
-    assert [boundary.searched for boundary in found.boundaries] == [True]
+    assert [boundary.independent for boundary in found.boundaries] == [True]
     for number, (frame, one) in enumerate(zip(found.frames, alone, strict=True)):
         assert frame is not None
-        # the second chunk begins at the pose of a search
+        # the second chunk begins anew
         assert np.abs(joints(frame.pose) - joints(one.pose)).max() <= (0 if number < 35 else 5e-3)
         assert frame.verdict == one.verdict
 
@@ -143,12 +144,12 @@ def test_a_cloud_that_cannot_be_read_ends_a_task_with_its_sentence(clouds, tmp_p
 def test_rows_are_joined_in_order_also_after_an_interruption(clouds, alone, tmp_path):
     run = saved_run(tmp_path, clouds)
     first = run_saved_task(run, Task("chunk_0", 0, 12, pose_of(0))).outcome.segment
-    second = run_saved_task(run, Task("chunk_1", 12, 20, alone[11])).outcome.segment
+    second = run_saved_task(run, Task("chunk_1", 8, 20, alone[7], 4)).outcome.segment
     with create_journal(tmp_path / "journal", {}, row_width(first.like)) as journal:
         # a run that was stopped after three rows
         for row in next(first.rows(0, 3)):
             journal.append(row)
-        _add_rows([first, second], journal)
+        _add_rows([Span(0, 12, first), Span(12, 20, second)], journal)
         rows = journal.read()
     assert len(rows) == 20
     names = [hash_cloud_name(f"{number}.ply") for number in range(20)]
@@ -165,8 +166,8 @@ def test_a_stopped_run_keeps_its_division(tmp_path):
     assert longer == [*first, Chunk(100, 150)]
     assert find_division(path, 90, ChunkOptions(None, None, None), 0) == [*first[:2], Chunk(67, 90)]
     # what is left is shorter than the given number of chunks allows
-    other = find_division(tmp_path / "other.json", 15, ChunkOptions(None, None, 5), 10)
-    assert other == [Chunk(10, 12), Chunk(12, 15)]
+    other = find_division(tmp_path / "other.json", 30, ChunkOptions(None, None, 5), 10)
+    assert other == [Chunk(10, 20), Chunk(20, 30)]
 
 
 def test_a_journal_of_other_clouds_is_not_used(clouds, tmp_path, capsys):

@@ -7,12 +7,10 @@ import numpy as np
 import pytest
 from limb_scene import SKELETON, TRACKER, joints, pose_of, run_here, scan, scan_frames
 
-from jaxcap.body.pose import rest_pose
 from jaxcap.errors import InputError
 from jaxcap.observe.clouds import make_cloud, missing_cloud
-from jaxcap.tracking.advance import find_first_frame, make_follower
 from jaxcap.tracking.chunks.agreement import pose_distance
-from jaxcap.tracking.chunks.division import count_chunks, divide_frames, name_ranges
+from jaxcap.tracking.chunks.division import WARM_UP, count_chunks, divide_frames, name_ranges
 from jaxcap.tracking.chunks.join_chunks import join_chunks
 from jaxcap.tracking.chunks.segments import StackedFrames
 from jaxcap.tracking.chunks.tasks import TrackSettings, begin_chunk
@@ -23,21 +21,20 @@ SETTINGS = TrackSettings(sigma=0.05)
 
 
 def track_in_chunks(clouds, change=None):
-    """Track two chunks in this process; `change` alters the frames that searches find."""
+    """Track two chunks in this process; `change` alters the first frames of the second one."""
     begun = []
     run_all = run_here(clouds, SETTINGS, begun)
 
     def run(tasks):
         for number, outcome in run_all(tasks):
-            if change is not None and tasks[number].is_search:
+            if change is not None and tasks[number].warm_up:
                 first, end = outcome.segment.first, outcome.segment.end
                 frames = [change(frame) for frame in outcome.segment.frames(first, end)]
                 outcome = outcome._replace(segment=StackedFrames(first, frames))
             yield number, outcome
 
-    joined = join_chunks(SKELETON, divide_frames(len(clouds), 2), run, pose_of(0))
-    frames = [frame for segment in joined.segments for frame in segment.frames(segment.first, segment.end)]
-    return joined, frames, begun
+    joined = join_chunks(TRACKER, divide_frames(len(clouds), 2), run, pose_of(0))
+    return joined, [frame for span in joined.spans for frame in span.frames()], begun
 
 
 def track_in_one(clouds, start=None, first=0):
@@ -67,8 +64,8 @@ def test_frames_are_divided():
     assert chunks[0].begin == 5 and chunks[-1].end == 105
     assert all(before.end == chunk.begin for before, chunk in pairwise(chunks))
     assert {chunk.end - chunk.begin for chunk in chunks} <= {33, 34}
-    with pytest.raises(InputError, match="100 frames were to be divided into 51 chunks"):
-        divide_frames(100, 51)
+    with pytest.raises(InputError, match="100 frames were to be divided into 13 chunks"):
+        divide_frames(100, 13)
 
 
 @pytest.mark.parametrize(
@@ -82,47 +79,48 @@ def test_ranges_are_named():
     assert name_ranges([(3, 9), (12, 13)]) == "3 to 8, 12"
 
 
-def test_chunks_are_those_of_one_run_that_begins_again_at_each_boundary(clouds, alone):
+def test_chunks_are_those_of_one_run_that_begins_again_before_each(clouds, alone):
     joined, frames, begun = track_in_chunks(clouds)
-    assert [task.name for task in begun] == ["head", "start_1", "chunk_0", "chunk_40"]
+    assert [task.name for task in begun] == ["head", "chunk_0", "chunk_1"]
     (boundary,) = joined.boundaries
-    assert boundary.joined and boundary.searched and boundary.num_repeated == 0
+    assert boundary.joined and boundary.independent and boundary.num_repeated == 0
     assert not joined.failures
-    # the same by hand: the frame before the boundary is found from rest, and continues with the baseline of the first 30 frames
-    follower = make_follower(TRACKER)
-    found = find_first_frame(
-        follower, clouds[BOUNDARY - 1], rest_pose(SKELETON), BOUNDARY - 1, sigma=SETTINGS.sigma
-    )
-    assert boundary.distance == pytest.approx(pose_distance(SKELETON, alone[BOUNDARY - 1].pose, found.pose))
-    later = track_in_one(clouds[BOUNDARY:], begin_chunk(found, alone[29]), BOUNDARY)
-    assert_same(frames, [*alone[:BOUNDARY], *later])
+    # the same by hand: the eighth frame before the boundary follows the first thirty, as after a gap
+    first = BOUNDARY - WARM_UP
+    again = track_in_one(clouds[first:], begin_chunk(TRACKER, alone[29]), first)
+    apart = pose_distance(SKELETON, alone[BOUNDARY - 1].pose, again[WARM_UP - 1].pose)
+    assert boundary.distance == pytest.approx(apart)
+    assert_same(frames, [*alone[:BOUNDARY], *again[WARM_UP:]])
     # and the poses are those without chunks, up to the noise of the clouds
     far = [pose_distance(SKELETON, frame.pose, one.pose) for frame, one in zip(frames, alone, strict=True)]
     assert max(far) < 5e-3
 
 
-def test_a_boundary_without_a_person_begins_no_chunk(clouds):
+def test_nobody_at_a_boundary_is_waited_for(clouds):
     away = [missing_cloud("nobody is there.")] * 24
     hidden = [*clouds[:26], *away, *clouds[50:]]
     joined, frames, _ = track_in_chunks(hidden)
     (boundary,) = joined.boundaries
-    assert boundary.joined and not boundary.searched and boundary.num_repeated == 0
-    assert_same(frames, track_in_one(hidden))
+    assert boundary.joined and boundary.independent and np.isnan(boundary.distance)
+    assert {frame.verdict for frame in frames[26:50]} == {"lost"}
+    for number in range(50, FRAMES):
+        assert frames[number].verdict == "good"
+        assert np.linalg.norm(joints(frames[number].pose) - joints(pose_of(number)), axis=1).max() < 0.02
 
 
-def test_a_search_that_finds_another_pose_is_not_followed(clouds, alone):
+def test_a_chunk_with_another_pose_is_tracked_again(clouds, alone):
     def translations(frame):
         return frame.pose.translations, frame.state.estimate.pose.translations, frame.trusted.translations
 
     def shift(frame):
-        moved = frame.pose.translations.at[0, 0].add(0.1)
+        moved = frame.pose.translations.at[0, 0].add(0.2)
         return eqx.tree_at(translations, frame, (moved, moved, moved))
 
     joined, frames, begun = track_in_chunks(clouds, shift)
     assert [task.name for task in begun][-1] == "again_40_1"
     (boundary,) = joined.boundaries
-    assert boundary.joined and not boundary.searched and boundary.num_repeated == FRAMES - BOUNDARY
-    assert boundary.distance == pytest.approx(0.1, abs=0.01)
+    assert boundary.joined and not boundary.independent and boundary.num_repeated == FRAMES - BOUNDARY
+    assert boundary.distance == pytest.approx(0.2, abs=0.01)
     assert_same(frames, alone)
 
 
@@ -137,7 +135,7 @@ def test_a_lost_person_is_found_before_the_next_chunk(clouds):
     hard = [*clouds[:15], *(junk() for _ in range(23)), *clouds[38:]]
     joined, frames, _ = track_in_chunks(hard)
     (boundary,) = joined.boundaries
-    assert boundary.joined and boundary.searched
+    assert boundary.joined and boundary.independent
     assert {frame.verdict for frame in frames[15:38]} != {"good"}
     assert {frame.verdict for frame in frames[BOUNDARY:]} == {"good"}
     for number in range(BOUNDARY, FRAMES):
@@ -145,14 +143,15 @@ def test_a_lost_person_is_found_before_the_next_chunk(clouds):
         assert np.linalg.norm(joints(frames[number].pose) - truth, axis=1).max() < 0.02
 
 
-@pytest.mark.parametrize("bad", [BOUNDARY - 1, 50])
-def test_a_cloud_that_cannot_be_tracked_fails_the_frames_after_it(clouds, bad):
+@pytest.mark.parametrize(
+    ("bad", "failed"), [(50, [(50, FRAMES)]), (BOUNDARY - 4, [(BOUNDARY - 4, BOUNDARY), (BOUNDARY, FRAMES)])]
+)
+def test_a_cloud_that_cannot_be_tracked_fails_the_frames_after_it(clouds, bad, failed):
     few = scan(pose_of(bad), bad)
     damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
     joined, frames, _ = track_in_chunks([*clouds[:bad], damaged, *clouds[bad + 1 :]])
-    (failure,) = joined.failures
-    assert (failure.first, failure.end) == (bad, FRAMES)
-    assert f"cloud {bad}" in failure.message
+    assert [(failure.first, failure.end) for failure in joined.failures] == failed
+    assert all(f"cloud {bad}" in failure.message for failure in joined.failures)
     assert len(frames) == bad
 
 
@@ -164,7 +163,7 @@ def test_a_chunk_that_fails_does_not_fail_the_next_one(clouds):
     assert (failure.first, failure.end) == (20, BOUNDARY)
     (boundary,) = joined.boundaries
     assert not boundary.joined
-    assert joined.segments[-1].end == FRAMES
+    assert joined.spans[-1].end == FRAMES
 
 
 def test_no_frames_are_a_segment():
