@@ -97,16 +97,18 @@ class _Part:
         return self.own if self.again is None else self.again
 
     @property
+    def segments(self) -> list[AbstractSegment]:
+        return [segment for segment in (self.head, self.outcome.segment) if segment is not None]
+
+    @property
     def spans(self) -> list[Span]:
         """The frames of the chunk, in order."""
-        segments = [segment for segment in (self.head, self.outcome.segment) if segment is not None]
-        spans = [Span(max(each.first, self.chunk.begin), each.end, each) for each in segments]
+        spans = [Span(max(each.first, self.chunk.begin), each.end, each) for each in self.segments]
         return [span for span in spans if span.first < span.end]
 
     def frame(self, number: int) -> TrackedFrame | None:
         """Return a frame of the chunk, or one before it; None if it could not be tracked."""
-        segments = [segment for segment in (self.head, self.outcome.segment) if segment is not None]
-        found = [segment for segment in segments if segment.first <= number < segment.end]
+        found = [segment for segment in self.segments if segment.first <= number < segment.end]
         return next(found[0].frames(number, number + 1)) if found else None
 
 
