@@ -33,8 +33,8 @@ from benchmarks.report import finish, progress
 from jaxcap.io.meshes.mesh import Mesh, write_mesh
 from jaxcap.tracking.chunks.division import count_chunks, divide_frames
 
-#: frames before and after a boundary without a person, and with a fast motion
-HIDDEN, FAST = (90, 30), (60, 30)
+#: frames before and after a boundary without a person, and with a fast motion; fewer in chunks shorter than `LONG_CHUNK`
+HIDDEN, FAST, LONG_CHUNK = (90, 30), (60, 30), 200
 #: factor of the fast motion
 SPEED = 3
 #: the bound that was asked for, millimetres
@@ -178,8 +178,9 @@ def main() -> None:
         motion = human_motion(shared_folder(), options.take, subject)
         number = options.chunks or count_chunks(options.frames)
         begins = [chunk.begin for chunk in divide_frames(options.frames, number)]
+        share = min(begins[1] / LONG_CHUNK, 1.0)
         hidden, fast = (
-            range(begins[at] - before, begins[at] + after)
+            range(begins[at] - int(share * before), begins[at] + int(share * after))
             for at, (before, after) in ((number // 3, HIDDEN), (2 * number // 3, FAST))
         )
         times = motion_times(options.frames, len(motion), fast)

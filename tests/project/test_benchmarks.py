@@ -77,16 +77,13 @@ def test_chunks(checkout, shared):
         "low",
         "--points",
         "800",
-        "--overlap",
-        "25",
         "--chunks",
         "3",
     )
     line = run(checkout, "chunks", *options)
-    assert meets(line, "not_joined", "killed_max_mm")
-    # the passage without a person, at a boundary
-    assert line["figures"]["not_good_frames"] > 20
-    assert line["figures"]["repeated_frames"] > 0
+    assert meets(line, "max_mm", "not_joined", "killed_max_mm")
+    assert line["figures"]["equal_frames"] == 150
+    assert line["figures"]["chunks_median_mm"] < 1.2 * line["figures"]["no_chunks_median_mm"]
 
 
 @pytest.mark.slow

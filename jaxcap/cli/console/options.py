@@ -73,7 +73,7 @@ Scheduler = Annotated[
 ]
 NumChunks = Annotated[
     OptionalCount,
-    arg(help="Number of chunks. Default: chunks of 200 to 500 frames."),
+    arg(help="Number of chunks. Default: chunks of about 200 to 500 frames."),
 ]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 KeepPlanes = Annotated[

@@ -26,7 +26,7 @@ from ..console.errors import warnings_as_lines
 from ..console.record import record_output
 from ..console.timed import timed
 from .announce import make_announcer
-from .depth import announce_missing
+from .depth import announce_blind, announce_missing
 from .frame_records import hash_cloud_name, pack, row_template, row_width, unpack
 
 #: number of rows that are read at once
@@ -92,6 +92,7 @@ def _run_task(run: ChunkedRun, task: Task) -> Outcome:
         left = task._replace(first=saved.end, start=last_frame(saved)) if journal.count else task
         announce = _announcer_of(task)
         clouds = announce_missing(iter(run.clouds[saved.end : task.end]))
+        clouds = announce_blind(clouds) if task.is_head else clouds
         try:
             frames = track_task(run.tracker, clouds, left, run.settings, announce)
             for number, (frame, seconds) in enumerate(timed(frames), saved.end):

@@ -54,15 +54,16 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
         return
     set_activity("starting the workers")
     memory = job_memory(["track"])
-    jobs = options.chunks or count_chunks(count - journal.count)
+    run.folder.mkdir(exist_ok=True)
+    chunks = find_division(plan, count, options, journal.count)
     # with one thread each, so that the poses do not depend on the number of workers
-    opened = open_cluster(options.workers, scheduler=options.scheduler, memory=memory, jobs=jobs, threads=1)
+    opened = open_cluster(
+        options.workers, scheduler=options.scheduler, memory=memory, jobs=len(chunks), threads=1
+    )
     try:
         with opened as client:
-            run.folder.mkdir(exist_ok=True)
             client.register_worker_callbacks(prepare_worker)
             workers = count_workers(client)
-            chunks = find_division(plan, count, options, journal.count)
             say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
             with watch_frames(run.folder, chunks):
                 joined = join_chunks(

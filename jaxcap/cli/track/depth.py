@@ -153,16 +153,20 @@ def describe_distance(cloud: Cloud) -> list[str]:
 
 
 def announce_missing(clouds: Iterator[Cloud]) -> Iterator[Cloud]:
-    """Yield clouds, and print the reason of the first of consecutive frames without a person.
-
-    Print also which cameras see no person in the first `MAX_FRAMES` frames that show one.
-    """
-    before, count, blind = False, 0, set[int]()
+    """Yield clouds, and print the reason of the first of consecutive frames without a person."""
+    before = False
     for cloud in clouds:
         if cloud.missing and not before:
             warn(f"{cloud.missing} The frame is lost, and keeps the pose of the frame before.")
         before = bool(cloud.missing)
-        if not before and count < MAX_FRAMES:
+        yield cloud
+
+
+def announce_blind(clouds: Iterator[Cloud]) -> Iterator[Cloud]:
+    """Yield clouds, and print which cameras see no person in the first `MAX_FRAMES` frames that show one."""
+    count, blind = 0, set[int]()
+    for cloud in clouds:
+        if not cloud.missing and count < MAX_FRAMES:
             here = {number for number, view in enumerate(cloud.views) if not np.asarray(view.depth).any()}
             blind = here if count == 0 else blind & here
             count += 1

@@ -65,6 +65,7 @@ from .chunk_files import ChunkedRun
 from .chunks import ChunkOptions, track_in_chunks
 from .depth import (
     BACKGROUND_KEY,
+    announce_blind,
     announce_missing,
     check_some_person,
     describe_distance,
@@ -162,8 +163,7 @@ class Track:
     damping: float = 1.0
     """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
     iterations: OptionalCount = None
-    """Number of iterations of expectation maximisation per frame: by default 4, or 6 with --depth, --partial or --clothes;
-    at least 6 with --workers or --scheduler."""
+    """Number of iterations of expectation maximisation per frame: by default 4, or 6 with --depth, --partial or --clothes."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
@@ -360,7 +360,7 @@ class Track:
         """Yield the frames from `begin` on, each with its computing time in seconds."""
         frames = track_frames(
             tracker,
-            announce_missing(iter(clouds[begin:])),
+            announce_blind(announce_missing(iter(clouds[begin:]))),
             last,
             search=SEARCHES[self.initialise],
             sigma=self.sigma0,

@@ -1,1 +1,1 @@
-"""One long sequence in chunks that are tracked at the same time and joined where they agree."""
+"""One long sequence in chunks that are tracked at the same time."""

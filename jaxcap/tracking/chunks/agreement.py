@@ -13,7 +13,7 @@ from ...body.skeleton import Skeleton
 from ..judge_frame import TrackedFrame
 
 #: largest distance between the same joints of two poses that are the same but for fingers or a turned hand, metres
-TOLERANCE = 0.15
+TOLERANCE = 0.05
 
 
 class Comparison(NamedTuple):
@@ -28,12 +28,12 @@ class Comparison(NamedTuple):
 def compare_frames(skeleton: Skeleton, before: TrackedFrame, own: TrackedFrame) -> Comparison:
     """Decide if tracking may continue from the `own` frame of a chunk instead of that of the chunk `before`.
 
-    It may if both are good and the same pose (`TOLERANCE`), or if that of the chunk before is not good.
+    It may if both are good and the same pose (`TOLERANCE`), if only the own frame is good, or if both are lost.
     """
+    if own.verdict != "good":
+        return Comparison(math.nan, own.lost and before.lost)
     if before.verdict != "good":
         return Comparison(math.nan, True)
-    if own.verdict != "good":
-        return Comparison(math.nan, False)
     distance = pose_distance(skeleton, before.pose, own.pose)
     return Comparison(distance, distance <= TOLERANCE)
 

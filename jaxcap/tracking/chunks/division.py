@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import InputError
 
 #: usual number of chunks, and least and largest usual number of frames in one: each chunk costs frames that are tracked twice
-CHUNKS, MIN_FRAMES, MAX_FRAMES = 8, 200, 500
+NUM_CHUNKS, MIN_FRAMES, MAX_FRAMES = 8, 200, 500
 #: number of frames before a chunk in which the pose before its first frame is found
 WARM_UP = 8
 
@@ -26,7 +26,7 @@ def count_chunks(num_frames: int) -> int:
 
     It does not depend on the number of workers, and so neither do the poses.
     """
-    return max(round(num_frames / min(max(num_frames / CHUNKS, MIN_FRAMES), MAX_FRAMES)), 1)
+    return max(round(num_frames / min(max(num_frames / NUM_CHUNKS, MIN_FRAMES), MAX_FRAMES)), 1)
 
 
 def divide_frames(num_frames: int, num_chunks: int, first: int = 0) -> list[Chunk]:

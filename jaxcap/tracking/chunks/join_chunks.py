@@ -1,10 +1,11 @@
-"""Chunks that are tracked at the same time, each from the beginning of the sequence, and that continue each other.
+"""Chunks that are tracked at the same time, each from the state after the first frames, and that continue each other.
 
-Tracking is sequential: a frame begins in the state of the frame before. Two runs that begin in states which differ by a rounding error do not become
-equal again where the cloud determines a pose weakly, such as that of fingers. So a sequence in chunks is another, exactly defined run. Some frames before
-each chunk its pose is found anew, as after a gap in the recording, from the last frame of the beginning. The chunk continues from there if the pose before its
-first frame agrees with that of the chunk before; otherwise it is tracked again from the chunk before. Then most chunks depend on no other one but the first, and can be tracked at the same time;
-the result depends on the division only, and not on the number of workers.
+Tracking is sequential: a frame begins in the state of the frame before. Two runs whose states differ by a rounding error do not become
+equal again where the cloud determines a pose weakly, such as that of fingers. So a sequence in chunks is another, exactly defined run. Some
+frames before each chunk its pose is found anew, as after a gap in the recording, from the state after the first frames of the
+sequence. The chunk continues from there if the pose before its first frame agrees with that of the chunk before. Otherwise it is tracked
+again from the chunk before. Then most chunks depend only on the first frames, and can be tracked at the same time; the result depends on
+the division, and not on the number of workers.
 """
 
 import logging
@@ -81,9 +82,9 @@ class _Part:
     """A chunk and its frames."""
 
     chunk: Chunk
-    #: frames of the beginning of the sequence, which only the first chunk has
+    #: the first frames of the sequence, which only the first chunk has
     head: AbstractSegment | None = None
-    #: tracked from the beginning of the sequence, and again from the chunk before
+    #: tracked from the state after the first frames, and again from the chunk before
     own: Outcome = NO_FRAMES
     again: Outcome | None = None
     #: what the chunk before was when this one was compared with it
@@ -122,11 +123,20 @@ def join_chunks(
 
     **Arguments:** `start` as of `track_frames`, for the first chunk.
 
-    The first frames of the sequence are tracked first: all chunks have their baseline. Then the chunks are tracked at the same
-    time. One that does not agree with the last frame of the chunk before is then tracked again from there.
+    The first frames of the sequence are tracked first, and all chunks begin with their baseline. Then the chunks are tracked at the same
+    time. One that does not agree with the last frame of the chunk before is then tracked again from there. If the first frames cannot be tracked,
+    no chunk is.
     """
-    parts = _track_all(tracker, chunks, run, start)
-    while todo := _find_repeated(tracker.body.skeleton, parts):
+    parts = [_Part(chunk) for chunk in chunks]
+    _LOG.info("tracking the first frames")
+    (head,) = _run_all(run, [Task("head", chunks[0].begin, chunks[0].end, start, is_head=True)])
+    parts[0].head = head.segment
+    if head.error:
+        spans = parts[0].spans
+        failure = Failure(spans[-1].end if spans else chunks[0].begin, chunks[-1].end, head.error)
+        return JoinedChunks(tuple(spans), tuple(_boundaries(parts)), (failure,))
+    _track_all(tracker, parts, run, start)
+    while todo := _compare_chunks(tracker.body.skeleton, parts):
         _LOG.info("tracking %d chunks again, from the chunk before", len(todo))
         tasks = [_repeat(parts[number - 1], parts[number]) for number in todo]
         for number, outcome in zip(todo, _run_all(run, tasks), strict=True):
@@ -136,21 +146,15 @@ def join_chunks(
 
 
 def _track_all(
-    tracker: Tracker, chunks: Sequence[Chunk], run: RunTasks, start: Pose | TrackedFrame | None
-) -> list[_Part]:
-    """Track each chunk from the beginning of the sequence."""
-    first, *others = chunks
-    parts = [_Part(chunk) for chunk in chunks]
-    _LOG.info("tracking the first frames")
-    (head,) = _run_all(run, [Task("head", first.begin, first.end, start, is_head=True)])
+    tracker: Tracker, parts: Sequence[_Part], run: RunTasks, start: Pose | TrackedFrame | None
+) -> None:
+    """Track each chunk from the state after the first frames."""
+    first, *others = (part.chunk for part in parts)
     begun, known = first.begin, start
-    if head.segment is not None and head.segment.first < head.segment.end:
-        parts[0].head, begun = head.segment, head.segment.end
-        known = last_frame(head.segment)
+    if parts[0].spans:
+        begun, known = parts[0].spans[-1].end, last_frame(parts[0].segments[-1])
     tasks = {}
-    if head.error:
-        parts[0].own = Outcome(None, head.error)
-    elif begun < first.end:
+    if begun < first.end:
         tasks[0] = Task("chunk_0", begun, first.end, known)
     if isinstance(known, TrackedFrame):
         # before a person is seen, nothing is known
@@ -161,22 +165,24 @@ def _track_all(
     _LOG.info("tracking the chunks")
     for number, outcome in zip(tasks, _run_all(run, list(tasks.values())), strict=True):
         parts[number].own = outcome
-    return parts
 
 
-def _find_repeated(skeleton: Skeleton, parts: Sequence[_Part]) -> list[int]:
+def _compare_chunks(skeleton: Skeleton, parts: Sequence[_Part]) -> list[int]:
     """Compare chunks with the ones before them, and list those that are to be tracked again from there.
 
     A chunk is compared again if the one before has changed. It is not listed if that one is: it may not have to be tracked again.
     """
     todo = list[int]()
     for number, (before, part) in enumerate(pairwise(parts), 1):
-        last = before.frame(before.chunk.end - 1)
-        if number - 1 in todo or last is None or part.compared is before.outcome:
+        if number - 1 in todo or part.compared is before.outcome:
             continue
-        part.compared, part.again = before.outcome, None
-        own = part.frame(part.chunk.begin - 1)
-        part.distance, agree = (np.nan, False) if own is None else compare_frames(skeleton, last, own)
+        part.compared, part.again, part.distance = before.outcome, None, np.nan
+        last, own = before.frame(before.chunk.end - 1), part.frame(part.chunk.begin - 1)
+        if last is None:
+            continue
+        agree = False
+        if own is not None:
+            part.distance, agree = compare_frames(skeleton, last, own)
         if not agree:
             todo.append(number)
     return todo

@@ -58,7 +58,7 @@ def alone(clouds):
     return list(track_frames(TRACKER, clouds, pose_of(0), planes=[]))
 
 
-def test_workers_track_the_poses_of_one_run(clouds, alone):
+def test_workers_track_nearly_the_poses_without_chunks(clouds, alone):
     with open_cluster(2, processes=False) as client:
         found = track_chunks(TRACKER, clouds, pose_of(0), client=client, chunks=2, planes=[])
     assert not found.failures

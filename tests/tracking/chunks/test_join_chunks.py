@@ -1,4 +1,4 @@
-"""Chunks of a sequence, joined: the poses of one sequential run, whether or not searches find the poses between chunks."""
+"""Chunks of a sequence, joined: the poses of one sequential run that begins anew before each chunk."""
 
 from itertools import pairwise
 
@@ -9,7 +9,7 @@ from limb_scene import SKELETON, TRACKER, joints, pose_of, run_here, scan, scan_
 
 from jaxcap.errors import InputError
 from jaxcap.observe.clouds import make_cloud, missing_cloud
-from jaxcap.tracking.chunks.agreement import pose_distance
+from jaxcap.tracking.chunks.agreement import compare_frames, pose_distance
 from jaxcap.tracking.chunks.division import WARM_UP, count_chunks, divide_frames, name_ranges
 from jaxcap.tracking.chunks.join_chunks import join_chunks
 from jaxcap.tracking.chunks.segments import StackedFrames
@@ -156,14 +156,53 @@ def test_a_cloud_that_cannot_be_tracked_fails_the_frames_after_it(clouds, bad, f
 
 
 def test_a_chunk_that_fails_does_not_fail_the_next_one(clouds):
-    few = scan(pose_of(20), 20)
+    few = scan(pose_of(31), 31)
     damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
-    joined, _, _ = track_in_chunks([*clouds[:20], damaged, *clouds[21:]])
+    joined, _, _ = track_in_chunks([*clouds[:31], damaged, *clouds[32:]])
     (failure,) = joined.failures
-    assert (failure.first, failure.end) == (20, BOUNDARY)
+    assert (failure.first, failure.end) == (31, BOUNDARY)
     (boundary,) = joined.boundaries
     assert not boundary.joined
     assert joined.spans[-1].end == FRAMES
+
+
+def test_no_chunk_begins_if_the_first_frames_cannot_be_tracked(clouds):
+    """A resumed run would not find what was tracked from another beginning."""
+    few = scan(pose_of(20), 20)
+    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
+    joined, frames, begun = track_in_chunks([*clouds[:20], damaged, *clouds[21:]])
+    assert [task.name for task in begun] == ["head"] and len(frames) == 20
+    (failure,) = joined.failures
+    assert (failure.first, failure.end) == (20, FRAMES)
+
+
+@pytest.mark.parametrize(
+    ("before", "own", "agree"),
+    [
+        ("good", "good", True),
+        ("good", "doubtful", False),
+        ("good", "lost", False),
+        ("doubtful", "good", True),
+        ("doubtful", "doubtful", False),
+        ("doubtful", "lost", False),
+        ("lost", "good", True),
+        ("lost", "doubtful", False),
+        ("lost", "lost", True),
+    ],
+)
+def test_a_chunk_is_not_kept_if_its_own_pose_is_worse(alone, before, own, agree):
+    def with_verdict(verdict):
+        frame = alone[35]
+        shares = np.zeros_like(frame.judgement.shares)
+        # between the two limits a frame is doubtful
+        middle = (float(frame.judgement.doubt) + float(frame.judgement.tolerance)) / 2
+        shares = shares + (middle if verdict == "doubtful" else 0.0)
+        judgement = eqx.tree_at(lambda j: j.shares, frame.judgement, shares)
+        return eqx.tree_at(lambda f: (f.judgement, f.lost), frame, (judgement, verdict == "lost"))
+
+    one, other = with_verdict(before), with_verdict(own)
+    assert (one.verdict, other.verdict) == (before, own)
+    assert compare_frames(SKELETON, one, other).agree == agree
 
 
 def test_no_frames_are_a_segment():
