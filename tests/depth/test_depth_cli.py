@@ -212,7 +212,8 @@ def test_a_camera_that_looks_away_is_named(captured, capsys):
     clouds = depth_clouds.depth_clouds(
         sources, [None, None], human(resolution="low", joints="tracking"), set()
     )
-    shown = list(depth_clouds.announce_missing(iter(clouds)))
+    announced = depth_clouds.announce_blind(depth_clouds.announce_missing(iter(clouds)))
+    shown = list(announced)
     assert [bool(cloud.missing) for cloud in shown] == [False, True, False]
     first, last = capsys.readouterr().err.strip().splitlines()
     assert "the mask has no pixel with a depth" in first and "The frame is lost" in first
