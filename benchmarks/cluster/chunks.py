@@ -21,7 +21,6 @@ import time
 from pathlib import Path
 
 import equinox as eqx
-import jax
 import numpy as np
 import psutil
 from jaxtyping import Float, Int
@@ -127,27 +126,14 @@ def run_killed(folder: Path, out: str, options: list[str], seconds: float) -> in
     return killed
 
 
-def joints_of(folder: Path, out: str, body: jc.Body) -> Float[np.ndarray, "F J 3"]:
+def joints_of(body: jc.Body, motion: jc.Motion) -> Float[np.ndarray, "F J 3"]:
+    """Compute the joints of a motion, metres."""
+    return np.stack([np.asarray(_pose_body(body, motion[k]).joints) for k in range(motion.num_frames)])
+
+
+def tracked_joints(folder: Path, out: str, body: jc.Body) -> Float[np.ndarray, "F J 3"]:
     """Compute the joints of a result, metres."""
-    poses = jc.load_motion(folder / out / "motion.npz").poses
-    count = len(poses.scale)
-    return np.stack(
-        [
-            np.asarray(_pose_body(body, jax.tree.map(lambda leaf, row=row: leaf[row], poses)).joints)
-            for row in range(count)
-        ]
-    )
-
-
-def true_joints(
-    subject: jc.Body, motion: jc.Motion, times: Int[np.ndarray, "F"], body: jc.Body
-) -> Float[np.ndarray, "F J 3"]:
-    """Compute the joints of the scanned person that the tracked body has, metres."""
-    rows = [subject.skeleton.names.index(name) for name in body.skeleton.names]
-    every = np.stack(
-        [np.asarray(_pose_body(subject, motion[frame]).joints)[rows] for frame in range(len(motion))]
-    )
-    return every[times]
+    return joints_of(body, jc.load_motion(folder / out / "motion.npz"))
 
 
 def verdicts_of(folder: Path, out: str) -> np.ndarray:
@@ -186,11 +172,13 @@ def main() -> None:
         times = motion_times(options.frames, len(motion), fast)
         write_clouds(folder / "clouds", subject, motion, times, hidden, options.points)
         progress(f"{options.frames} clouds; nobody in frames {hidden}, fast in {fast}")
-        chunked = ["--chunks", str(number)]
-        seconds = {"one_worker": run_track(folder, "one", ["--workers", "1", *chunked])}
-        seconds["two_workers"] = run_track(folder, "two", ["--workers", "2", *chunked])
-        one, two = (joints_of(folder, out, body) for out in ("one", "two"))
-        truth = true_joints(subject, motion, times, body)
+        on_one, on_two = (["--chunks", str(number), "--workers", workers] for workers in ("1", "2"))
+        seconds = {"one_worker": run_track(folder, "one", on_one)}
+        seconds["two_workers"] = run_track(folder, "two", on_two)
+        one, two = (tracked_joints(folder, out, body) for out in ("one", "two"))
+        # the joints of the scanned person that the tracked body has
+        rows = [subject.skeleton.names.index(name) for name in body.skeleton.names]
+        truth = joints_of(subject, motion)[times][:, rows]
         report = json.loads((folder / "two" / "chunks.json").read_text())
         mm = 1000 * np.linalg.norm(one - two, axis=2).max(1)
         there = ~np.isin(np.arange(len(mm)), list(hidden))
@@ -206,7 +194,7 @@ def main() -> None:
         if not options.only_chunks:
             seconds["no_chunks"] = run_track(folder, "plain", [])
             figures["speedup_to_no_chunks"] = seconds["no_chunks"] / seconds["two_workers"]
-            compared.append(("no_chunks", "plain", joints_of(folder, "plain", body)))
+            compared.append(("no_chunks", "plain", tracked_joints(folder, "plain", body)))
         for name, out, found in compared:
             good = there & (verdicts_of(folder, out) == "good")
             errors = 1000 * np.linalg.norm(found - truth, axis=2)
@@ -216,8 +204,8 @@ def main() -> None:
         distances = [boundary["distance"] for boundary in report["boundaries"]]
         figures["largest_boundary_mm"] = float(1000 * max((d for d in distances if d is not None), default=0))
         if not options.no_kill:
-            killed = run_killed(folder, "killed", ["--workers", "2", *chunked], seconds["two_workers"])
-            three = joints_of(folder, "killed", body)
+            killed = run_killed(folder, "killed", on_two, seconds["two_workers"])
+            three = tracked_joints(folder, "killed", body)
             figures["killed_processes"] = killed
             figures["killed_max_mm"] = float(1000 * np.linalg.norm(two - three, axis=2).max())
     limits = {

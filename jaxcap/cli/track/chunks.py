@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from ...tracking.chunks.division import WARM_UP, Chunk, count_chunks, divide_fra
 from ...tracking.chunks.join_chunks import REPEATED, Boundary, Outcome, join_chunks
 from ...tracking.chunks.segments import Span
 from ...tracking.chunks.tasks import Task
-from ...tracking.chunks.track_chunks import count_workers, outcome_of
+from ...tracking.chunks.track_chunks import outcome_of
 from ...tracking.judge_frame import TrackedFrame
 from ..batch.memory import job_memory
 from ..batch.prepare import prepare_worker
@@ -63,7 +63,8 @@ def track_in_chunks(run: ChunkedRun, options: ChunkOptions, journal: Journal, re
     try:
         with opened as client:
             client.register_worker_callbacks(prepare_worker)
-            workers = count_workers(client)
+            threads: Any = client.nthreads()
+            workers = max(len(threads), 1)
             say(f"{pluralise(len(chunks), 'chunk')} on {pluralise(workers, 'worker')}")
             with watch_frames(run.folder, chunks):
                 joined = join_chunks(

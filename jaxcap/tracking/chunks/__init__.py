@@ -1,1 +1,1 @@
-"""One long sequence in chunks that are tracked at the same time."""
+"""Parallel tracking of the chunks of one long sequence."""

@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import jax
 
@@ -96,12 +96,6 @@ def first_room(clouds: Sequence[Cloud]) -> tuple[Plane, ...]:
         if not cloud.missing:
             return find_room(cloud)
     return ()
-
-
-def count_workers(client: "Client") -> int:
-    """Count the workers of a cluster."""
-    threads: Any = client.nthreads()
-    return max(len(threads), 1)
 
 
 def run_on(client: "Client", function: Callable[..., Outcome], item_of: Callable[[Task], object]) -> RunTasks:

@@ -5,7 +5,7 @@ from itertools import pairwise
 import equinox as eqx
 import numpy as np
 import pytest
-from limb_scene import SKELETON, TRACKER, joints, pose_of, run_here, scan, scan_frames
+from limb_scene import SKELETON, TRACKER, joints, pose_of, run_here, scan_frames
 
 from jaxcap.errors import InputError
 from jaxcap.observe.clouds import make_cloud, missing_cloud
@@ -40,6 +40,12 @@ def track_in_chunks(clouds, change=None):
 def track_in_one(clouds, start=None, first=0):
     start = pose_of(0) if start is None else start
     return list(track_frames(TRACKER, clouds, start, sigma=SETTINGS.sigma, planes=[], first=first))
+
+
+def damage(clouds, number):
+    """Leave three points of one cloud, too few to be tracked."""
+    points, normals = (np.asarray(leaf)[:3] for leaf in (clouds[number].points, clouds[number].normals))
+    return [*clouds[:number], make_cloud(points, normals), *clouds[number + 1 :]]
 
 
 def assert_same(frames, others):
@@ -88,8 +94,8 @@ def test_chunks_are_those_of_one_run_that_begins_again_before_each(clouds, alone
     # the same by hand: the eighth frame before the boundary follows the first thirty, as after a gap
     first = BOUNDARY - WARM_UP
     again = track_in_one(clouds[first:], begin_chunk(TRACKER, alone[29]), first)
-    apart = pose_distance(SKELETON, alone[BOUNDARY - 1].pose, again[WARM_UP - 1].pose)
-    assert boundary.distance == pytest.approx(apart)
+    distance = pose_distance(SKELETON, alone[BOUNDARY - 1].pose, again[WARM_UP - 1].pose)
+    assert boundary.distance == pytest.approx(distance)
     assert_same(frames, [*alone[:BOUNDARY], *again[WARM_UP:]])
     # and the poses are those without chunks, up to the noise of the clouds
     far = [pose_distance(SKELETON, frame.pose, one.pose) for frame, one in zip(frames, alone, strict=True)]
@@ -105,7 +111,7 @@ def test_nobody_at_a_boundary_is_waited_for(clouds):
     assert {frame.verdict for frame in frames[26:50]} == {"lost"}
     for number in range(50, FRAMES):
         assert frames[number].verdict == "good"
-        assert np.linalg.norm(joints(frames[number].pose) - joints(pose_of(number)), axis=1).max() < 0.02
+        assert pose_distance(SKELETON, frames[number].pose, pose_of(number)) < 0.02
 
 
 def test_a_chunk_with_another_pose_is_tracked_again(clouds, alone):
@@ -139,26 +145,21 @@ def test_a_lost_person_is_found_before_the_next_chunk(clouds):
     assert {frame.verdict for frame in frames[15:38]} != {"good"}
     assert {frame.verdict for frame in frames[BOUNDARY:]} == {"good"}
     for number in range(BOUNDARY, FRAMES):
-        truth = np.asarray(joints(pose_of(number)))
-        assert np.linalg.norm(joints(frames[number].pose) - truth, axis=1).max() < 0.02
+        assert pose_distance(SKELETON, frames[number].pose, pose_of(number)) < 0.02
 
 
 @pytest.mark.parametrize(
     ("bad", "failed"), [(50, [(50, FRAMES)]), (BOUNDARY - 4, [(BOUNDARY - 4, BOUNDARY), (BOUNDARY, FRAMES)])]
 )
 def test_a_cloud_that_cannot_be_tracked_fails_the_frames_after_it(clouds, bad, failed):
-    few = scan(pose_of(bad), bad)
-    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
-    joined, frames, _ = track_in_chunks([*clouds[:bad], damaged, *clouds[bad + 1 :]])
+    joined, frames, _ = track_in_chunks(damage(clouds, bad))
     assert [(failure.first, failure.end) for failure in joined.failures] == failed
     assert all(f"cloud {bad}" in failure.message for failure in joined.failures)
     assert len(frames) == bad
 
 
 def test_a_chunk_that_fails_does_not_fail_the_next_one(clouds):
-    few = scan(pose_of(31), 31)
-    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
-    joined, _, _ = track_in_chunks([*clouds[:31], damaged, *clouds[32:]])
+    joined, _, _ = track_in_chunks(damage(clouds, 31))
     (failure,) = joined.failures
     assert (failure.first, failure.end) == (31, BOUNDARY)
     (boundary,) = joined.boundaries
@@ -168,9 +169,7 @@ def test_a_chunk_that_fails_does_not_fail_the_next_one(clouds):
 
 def test_no_chunk_begins_if_the_first_frames_cannot_be_tracked(clouds):
     """A resumed run would not find what was tracked from another beginning."""
-    few = scan(pose_of(20), 20)
-    damaged = make_cloud(np.asarray(few.points)[:3], np.asarray(few.normals)[:3])
-    joined, frames, begun = track_in_chunks([*clouds[:20], damaged, *clouds[21:]])
+    joined, frames, begun = track_in_chunks(damage(clouds, 20))
     assert [task.name for task in begun] == ["head"] and len(frames) == 20
     (failure,) = joined.failures
     assert (failure.first, failure.end) == (20, FRAMES)
