@@ -80,7 +80,7 @@ clouds.points.shape, starts.rotations.shape
 # is fastest on a processor; `batch_size` says how many go side by side, for accelerators.
 
 # %%
-tracker = jc.make_tracker(body, iterations=20)
+tracker = jc.make_tracker(body, iterations=20, max_iterations=20)
 alone, statistics = jax.block_until_ready(jc.fit.fit_batch(tracker, starts, clouds))
 
 

@@ -333,7 +333,7 @@ def main() -> None:
         "vertices": len(body.vertices),
         "joints": body.skeleton.num_joints,
         "numbers": body.skeleton.num_dofs,
-        "iterations": tracker.iterations,
+        "iterations": [tracker.iterations, tracker.max_iterations],
         "pycpd_points": 500 if options.small else noise.points,
         "sigma": SIGMA,
     }

@@ -72,11 +72,18 @@ def make_live_tracker(
     """Make a `Tracker` that is fast enough for live depth images, with the arguments of `make_tracker`.
 
     It takes 3 steps of expectation maximisation where `make_tracker(partial=True)` takes 6, and tests fewer vertices for free
-    space. Frames that follow each other closely need no more.
+    space. Frames that follow each other closely need no more, and no further ones follow in a fast motion, so that the time of a frame
+    is bounded.
     """
     steps = ITERATIONS if iterations is None else iterations
     return make_tracker(
-        body, terms=terms, iterations=steps, partial=partial, num_tested=NUM_TESTED, clothes=clothes
+        body,
+        terms=terms,
+        iterations=steps,
+        max_iterations=steps,
+        partial=partial,
+        num_tested=NUM_TESTED,
+        clothes=clothes,
     )
 
 

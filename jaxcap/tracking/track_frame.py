@@ -6,7 +6,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from equinox.internal import unvmap_any
+from jaxtyping import Array, Bool, Float
 
 from ..arguments import check_fields, checked
 from ..body.body import Body, pose_body
@@ -31,6 +32,7 @@ from .expectation_maximisation.em_step import (
     Estimate,
     FrameStatistics,
     MixtureSettings,
+    Step,
     box_volume,
     em_step,
     first_step,
@@ -44,6 +46,11 @@ from .judgement.region_samples import region_joints
 
 #: steps of expectation maximisation per frame, and the same where a body is seen in part and priors decide
 ITERATIONS, PARTIAL_ITERATIONS = 4, 6
+#: movement of a vertex in a step above which a frame takes further ones: metres, and standard deviations of the points, as
+#: loose clothes move the surface by about as much in every frame
+MOVEMENT_TOLERANCE, MOVEMENT_DEVIATIONS = 0.02, 2.0
+#: largest number of steps of a frame, relative to the usual one
+MAX_ITERATIONS_FACTOR = 3
 #: share of the subsets of a cloud that the last step uses, rounded up
 LAST_SHARE = 0.75
 #: number of points that count as one independent measurement against the prior of people, as the errors of
@@ -83,8 +90,9 @@ class Tracker(eqx.Module):
     sigma_start: Float[Array, ""]
     #: further terms, such as `JointLimits`
     terms: tuple[AbstractEnergy, ...]
-    #: steps of expectation maximisation per frame
+    #: steps of expectation maximisation per frame, and the largest number of them while the surface still moves far
     iterations: int = eqx.field(static=True)
+    max_iterations: int = eqx.field(static=True)
     #: joints of the regions of verdicts, as of `region_joints`
     regions: tuple[int, ...] = eqx.field(static=True)
     #: largest number of vertices that are tested for free space
@@ -116,6 +124,7 @@ def make_tracker(
     sigma_growth: float = 1.5,
     sigma_start: float = 0.015,
     iterations: int | None = None,
+    max_iterations: int | None = None,
     partial: bool = False,
     num_tested: int = NUM_TESTED,
     clothes: bool = False,
@@ -130,6 +139,9 @@ def make_tracker(
     keeps its limbs out of other parts (`make_self_collision`), which costs some accuracy where everything is seen;
     `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`; all but the last use a
     small subset of the points of a large cloud (`divide_cloud`);
+    `max_iterations`, the largest number of steps where the prediction is far off, as in fast motions, by default three times
+    `iterations`: further steps follow, unless `iterations` is one, while each of them moves a vertex by more than 20 mm and by more
+    than two standard deviations of the points;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
     clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;
     `terms` are further energies, in units of a log-likelihood.
@@ -143,7 +155,9 @@ def make_tracker(
     check_positive(where, "metres", sigma_start=sigma_start)
     default = PARTIAL_ITERATIONS if partial else ITERATIONS
     iterations = default if iterations is None else iterations
+    max_iterations = MAX_ITERATIONS_FACTOR * iterations if max_iterations is None else max_iterations
     check_at_least(where, 1, iterations=iterations, num_tested=num_tested)
+    check_at_least(where, iterations, max_iterations=max_iterations)
     own = sum_user_terms(where, terms, body)
     bones = body.skin.dominant_bones()
     worn = first_clothes(body, body.skeleton.num_joints) if clothes else None
@@ -161,6 +175,7 @@ def make_tracker(
         sigma_start=as_number(sigma_start),
         terms=() if own is None else terms_of(own),
         iterations=iterations,
+        max_iterations=max_iterations,
         num_tested=num_tested,
         regions=region_joints(body),
         clothes=worn,
@@ -253,12 +268,19 @@ def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
     return jnp.maximum(tracker.sigma_growth * state.estimate.sigma, tracker.sigma_start)
 
 
+def moves_far(step: Step) -> Bool[Array, ""]:
+    """Decide if a step has moved the surface so far that further ones are needed; not where numbers are not finite."""
+    limit = jnp.maximum(MOVEMENT_TOLERANCE, MOVEMENT_DEVIATIONS * step.after.sigma)
+    return step.largest_movement() > jax.lax.stop_gradient(limit)
+
+
 @checked
 def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[TrackState, FrameStatistics]:
     """Track one frame: predict it, take a few steps of expectation maximisation, and compute statistics.
 
     Each step but the last uses another subset of the points (`divide_cloud`), and the last one several: more steps then take
-    less time, and correct a larger error of the prediction.
+    less time, and correct a larger error of the prediction. While a step moves the surface far, further ones follow. Their number is
+    constant for derivatives.
 
     Pure, and of the form of a `jax.lax.scan` step once `tracker` is bound.
     """
@@ -268,18 +290,31 @@ def track_frame(tracker: Tracker, state: TrackState, cloud: Cloud) -> tuple[Trac
     volume = box_volume(cloud)
     sigma = first_sigma(tracker, state)
 
-    clouds, count = divide_cloud(cloud), tracker.iterations
+    clouds, count = divide_cloud(cloud), tracker.max_iterations if tracker.iterations > 1 else 1
     number = len(clouds.weights)
     most = math.ceil(LAST_SHARE * number) if count > 1 else number
 
-    def step(iteration, last):
-        some = first_subset(Subsets(clouds, jnp.where(iteration == count - 1, most, 1)), iteration)
-        return em_step(tracker.parts, tracker.mixture, prior, some, volume, last)
+    def step(iteration, carry):
+        taken, last = carry
+        is_last = iteration == count - 1
+        is_needed = (iteration < tracker.iterations - 1) | is_last | moves_far(last)
+
+        def take(last):
+            # the last step leaves out the points of the steps just before it, which would count more than the others
+            some = first_subset(Subsets(clouds, jnp.where(is_last, most, 1)), taken)
+            found = em_step(tracker.parts, tracker.mixture, prior, some, volume, last)
+            found = jax.tree.map(lambda new, old: jnp.where(is_needed, new, old), found, last)
+            return eqx.tree_at(
+                lambda s: (s.posed.body, s.moved.body), found, (last.posed.body, last.moved.body)
+            )
+
+        # in a batch, as long as one member needs the step
+        return taken + is_needed, jax.lax.cond(unvmap_any(is_needed), take, lambda last: last, last)
 
     start = Estimate(predicted, sigma, before.priors, before.clothes)
     first = first_step(tracker.body, tracker.parts, tracker.mixture, clouds, start)
-    last = jax.lax.fori_loop(0, count, step, first)
-    used = first_subset(Subsets(clouds, most), count - 1)
+    taken, last = jax.lax.fori_loop(0, count, step, (0, first))
+    used = first_subset(Subsets(clouds, most), taken - 1)
     statistics = step_statistics(tracker.parts, tracker.mixture, used, volume, last)
     estimate = last.after
     if before.clothes is not None:

@@ -58,6 +58,7 @@ REFUSED = [
     (lambda: jc.fit.make_mixture_settings(smallest_sigma=-1), "make_mixture_settings: `smallest_sigma` is -1; .* above 0 metres"),
     (lambda: jc.fit.make_mixture_settings(normal_threshold=60), "make_mixture_settings: `normal_threshold` is 60; .* from -1 to 1"),
     (lambda: jc.make_tracker(BODY, iterations=0), "make_tracker: `iterations` is 0; .* at least 1"),
+    (lambda: jc.make_tracker(BODY, max_iterations=3), "make_tracker: `max_iterations` is 3; .* at least 4"),
     (lambda: jc.make_tracker(BODY, motion_deviation=(-0.05, 0.3)), "make_tracker: `motion_deviation` has -0.05;"),
     (lambda: jc.make_tracker(BODY, rest_deviation=NAN), "make_tracker: `rest_deviation` is nan;"),
     (lambda: jc.make_tracker(BODY, momentum=-1.0), "make_tracker: `momentum` is -1;"),

@@ -203,16 +203,49 @@ def test_a_scan_is_the_loop(scene):
     np.testing.assert_allclose(last.change, state.change, atol=1e-8)
 
 
-def test_a_batch_is_its_members(scene):
+def test_a_fast_motion_takes_more_steps(scene):
+    """A prediction from six frames before; after one of a single frame the steps are the same."""
     truth, clouds = scene
-    starts = stack_poses([truth[1], truth[4]]).poses
-    poses, statistics = fit_batch(TRACKER, starts, stack_clouds([clouds[1], clouds[4]]), sigma=0.05)
-    for number, frame in enumerate((1, 4)):
-        state = start_state(TRACKER, truth[frame], 0.05)
-        state, alone = judge_frame.track_frame_jit(TRACKER, state, clouds[frame])
-        pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
-        assert apart(pose, state.estimate.pose) < 1e-8
-        assert float(statistics.sigma[number]) == pytest.approx(float(alone.sigma), rel=1e-8)
+    few = make_tracker(BODY, terms=(Counted(),), max_iterations=TRACKER.iterations)
+    state = start_state(TRACKER, truth[0], 0.02)
+
+    def followed(tracker, number):
+        return judge_frame.track_frame_jit(tracker, state, clouds[number])[0].estimate.pose
+
+    near, far = ([followed(tracker, number) for tracker in (few, TRACKER)] for number in (1, FRAMES))
+    assert apart(*near) < 1e-9
+    errors = [joint_error(pose, truth[FRAMES]) for pose in far]
+    assert errors[1] < 0.5 * errors[0]
+
+
+def test_the_last_step_leaves_out_the_points_of_the_step_before_it(rng):
+    """Of four subsets, whose points are every fourth one, three steps use the first ones each; the last one uses three."""
+    pose = rest_pose(SKELETON)
+    points, normals = sample_surface(np.asarray(BODY.vertices), np.asarray(BODY.faces), 5120, rng)
+    cloud = make_cloud(points, normals)
+    shares = []
+    for subset in (2, 3):
+        moved = eqx.tree_at(lambda c: c.points, cloud, cloud.points.at[subset::4, 0].add(3.0))
+        _, statistics = judge_frame.track_frame_jit(TRACKER, start_state(TRACKER, pose, 0.01), moved)
+        shares.append(float(statistics.outlier_share))
+    assert shares[0] < 0.05
+    assert shares[1] == pytest.approx(1 / 3, abs=0.05)
+
+
+def test_a_batch_is_its_members(scene):
+    """Also side by side, where one member needs more steps than the other."""
+    truth, clouds = scene
+    starts = stack_poses([truth[1], truth[0]]).poses
+    for size in (None, 2):
+        poses, statistics = fit_batch(
+            TRACKER, starts, stack_clouds([clouds[1], clouds[FRAMES]]), sigma=0.02, batch_size=size
+        )
+        for number, (start, frame) in enumerate(((1, 1), (0, FRAMES))):
+            state = start_state(TRACKER, truth[start], 0.02)
+            state, alone = judge_frame.track_frame_jit(TRACKER, state, clouds[frame])
+            pose = jax.tree.map(lambda leaf, number=number: leaf[number], poses)
+            assert apart(pose, state.estimate.pose) < 1e-8
+            assert float(statistics.sigma[number]) == pytest.approx(float(alone.sigma), rel=1e-8)
 
 
 def test_the_order_of_points_does_not_matter(scene, rng):

@@ -204,6 +204,11 @@ class Step(eqx.Module):
     #: of all points, in the order of `Subsets.cloud`; unused ones have weight zero
     found: Posterior
 
+    def largest_movement(self) -> Float[Array, ""]:
+        """Compute the largest distance that the step moved a vertex, metres; constant for derivatives."""
+        moved, posed = jax.lax.stop_gradient((self.moved.vertices, self.posed.vertices))
+        return jnp.sqrt(jnp.max(jnp.sum((moved - posed) ** 2, 1)))
+
 
 def first_step(
     body: Body, parts: PartBlocks, mixture: MixtureSettings, clouds: Cloud, start: Estimate
