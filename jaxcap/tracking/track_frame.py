@@ -49,7 +49,7 @@ ITERATIONS, PARTIAL_ITERATIONS = 4, 6
 #: movement of a vertex in a step above which a frame takes further ones: metres, and standard deviations of the points, as
 #: loose clothes move the surface by about as much in every frame
 MOVEMENT_TOLERANCE, MOVEMENT_DEVIATIONS = 0.02, 2.0
-#: largest number of steps of a frame, relative to the usual one
+#: largest number of steps of a frame that shows the whole body, relative to the usual one
 MAX_ITERATIONS_FACTOR = 3
 #: share of the subsets of a cloud that the last step uses, rounded up
 LAST_SHARE = 0.75
@@ -140,8 +140,8 @@ def make_tracker(
     `iterations`, steps of expectation maximisation per frame, 4 by default, or 6 with `partial`; all but the last use a
     small subset of the points of a large cloud (`divide_cloud`);
     `max_iterations`, the largest number of steps where the prediction is far off, as in fast motions, by default three times
-    `iterations`: further steps follow, unless `iterations` is one, while each of them moves a vertex by more than 20 mm and by more
-    than two standard deviations of the points;
+    `iterations`, or as many with `partial`: further steps follow, unless `iterations` is one, while each of them moves a vertex by
+    more than 20 mm and by more than two standard deviations of the points;
     `num_tested`, the largest number of vertices that are tested for free space; `clothes`, learn which parts wear loose
     clothes, such as a skirt, so that these neither drag the body nor count as unexplained (`Clothes`), best with `partial`;
     `terms` are further energies, in units of a log-likelihood.
@@ -155,7 +155,8 @@ def make_tracker(
     check_positive(where, "metres", sigma_start=sigma_start)
     default = PARTIAL_ITERATIONS if partial else ITERATIONS
     iterations = default if iterations is None else iterations
-    max_iterations = MAX_ITERATIONS_FACTOR * iterations if max_iterations is None else max_iterations
+    factor = 1 if partial else MAX_ITERATIONS_FACTOR
+    max_iterations = factor * iterations if max_iterations is None else max_iterations
     check_at_least(where, 1, iterations=iterations, num_tested=num_tested)
     check_at_least(where, iterations, max_iterations=max_iterations)
     own = sum_user_terms(where, terms, body)

@@ -163,7 +163,7 @@ class Track:
     damping: float = 1.0
     """Constant added to the diagonal of the normal equations, to damp the steps of the solver."""
     iterations: OptionalCount = None
-    """Number of iterations of expectation maximisation per frame; up to three times as many while they move the surface far. Default: 4, or 6 with --depth, --partial or --clothes."""
+    """Number of iterations of expectation maximisation per frame. Default: 4, and up to 12 while they move the surface far; 6 with --depth, --partial or --clothes."""
     vertices: OptionalCount = None
     """Reduce the body to about N vertices, for speed."""
     estimate_priors: Flag = False
