@@ -272,7 +272,7 @@ def first_sigma(tracker: Tracker, state: TrackState) -> Float[Array, ""]:
 def moves_far(step: Step) -> Bool[Array, ""]:
     """Decide if a step has moved the surface so far that further ones are needed; not where numbers are not finite."""
     limit = jnp.maximum(MOVEMENT_TOLERANCE, MOVEMENT_DEVIATIONS * step.after.sigma)
-    return step.largest_movement() > jax.lax.stop_gradient(limit)
+    return step.largest_movement() > limit
 
 
 @checked

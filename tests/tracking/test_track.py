@@ -219,7 +219,7 @@ def test_a_fast_motion_takes_more_steps(scene):
 
 
 def test_the_last_step_leaves_out_the_points_of_the_step_before_it(rng):
-    """Of four subsets, whose points are every fourth one, three steps use the first ones each; the last one uses three."""
+    """Each of four subsets has every fourth point. Three steps use one subset each, and the last step uses all but the third subset."""
     pose = rest_pose(SKELETON)
     points, normals = sample_surface(np.asarray(BODY.vertices), np.asarray(BODY.faces), 5120, rng)
     cloud = make_cloud(points, normals)
